@@ -1,0 +1,107 @@
+"""A measured C-scan: voxels, where they lie, and what their numbers mean."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octn_ros.errors import VolumeError
+from octn_ros.volume.geometry import VolumeGeometry
+
+IntensityScale = Literal["linear", "log", "unknown"]
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A C-scan as measured; immutable, safe to read from several threads.
+
+    Attributes:
+        array: voxels [bscan, axial, lateral], row 0 of the axial axis nearest the probe; uint8, uint16 or float32.
+        geometry: shape and place in space.
+        intensity_range: the raw values that become 0 and 1.
+        intensity_scale: whether raw values are linear in reflected power or logarithmic.
+        stamp_ns: acquisition time in nanoseconds, 0 if unknown.
+
+    Raises:
+        VolumeError: the voxels are not finite, all equal, of another type, or do not fit the geometry.
+    """
+
+    array: NDArray[Any]
+    geometry: VolumeGeometry
+    intensity_range: tuple[float, float]
+    intensity_scale: IntensityScale = "unknown"
+    stamp_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if self.array.dtype not in (np.uint8, np.uint16, np.float32):
+            raise VolumeError(f"expected voxels of type uint8, uint16 or float32, got {self.array.dtype}")
+        if self.array.shape != self.geometry.shape:
+            raise VolumeError(f"expected {self.geometry.shape} voxels [bscan, axial, lateral], got {self.array.shape}")
+        low, high = float(self.array.min()), float(self.array.max())
+        # NaN and infinity propagate through min and max, so no mask of the whole volume is needed.
+        if not np.isfinite(low) or not np.isfinite(high):
+            bad = int(np.count_nonzero(~np.isfinite(self.array)))
+            raise VolumeError(f"expected finite voxels, got {bad} NaN or infinite ones; mend or mask them first")
+        if low == high:
+            raise VolumeError(f"expected tissue in the volume, got a constant one (every voxel is {low:g})")
+        start, end = self.intensity_range
+        if not (np.isfinite(start) and np.isfinite(end) and start < end):
+            raise VolumeError(f"expected an intensity range (low, high) with low < high, got {self.intensity_range}")
+
+    @classmethod
+    def from_array(
+        cls,
+        array: NDArray[Any],
+        spacing_m: tuple[float, float, float],
+        *,
+        intensity_range: tuple[float, float] | None = None,
+        intensity_scale: IntensityScale = "unknown",
+        origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        stamp_ns: int = 0,
+    ) -> Volume:
+        """Wrap an array [bscan, axial, lateral], converting types this package does not keep to float32.
+
+        Without `intensity_range`, integers use the range of their type; floats use [0, 1] if they lie in it and
+        their own minimum and maximum otherwise.
+
+        Raises:
+            VolumeError: as the constructor, or the array is not three-dimensional and real.
+        """
+        array = np.asarray(array)
+        if array.ndim != 3:
+            raise VolumeError(f"expected an array [bscan, axial, lateral], got {array.ndim} axes of {array.shape}")
+        if array.dtype.kind not in "uif":
+            raise VolumeError(f"expected real intensities, got type {array.dtype}")
+        geometry = VolumeGeometry(tuple(array.shape), tuple(spacing_m), tuple(origin_m))  # type: ignore[arg-type]
+        if intensity_range is None:
+            intensity_range = _default_range(array)
+        if array.dtype not in (np.uint8, np.uint16):
+            array = array.astype(np.float32)
+        return cls(np.ascontiguousarray(array), geometry, intensity_range, intensity_scale, stamp_ns)
+
+    def normalized(self) -> NDArray[np.float32]:
+        """Return intensities in [0, 1] as float32 [bscan, axial, lateral]; values outside the range are clipped."""
+        low, high = self.intensity_range
+        values = self.array.astype(np.float32)
+        values -= np.float32(low)
+        values *= np.float32(1.0 / (high - low))
+        return np.clip(values, 0.0, 1.0, out=values)
+
+    def replace_intensity(self, intensity: NDArray[np.float32]) -> Volume:
+        """Return the same scan with normalised intensities [bscan, axial, lateral], after a filter for instance."""
+        return dataclasses.replace(
+            self, array=np.ascontiguousarray(intensity, dtype=np.float32), intensity_range=(0.0, 1.0)
+        )
+
+
+def _default_range(array: NDArray[Any]) -> tuple[float, float]:
+    if array.dtype.kind in "ui":
+        info = np.iinfo(array.dtype)
+        return float(info.min), float(info.max)
+    low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 1.0)
+    # Anything that is not a usable range is left to the constructor, which says what is wrong with the voxels.
+    return (0.0, 1.0) if not low < high or (low >= 0.0 and high <= 1.0) else (low, high)

@@ -1,0 +1,69 @@
+"""Build description for pip and colcon (ament_python)."""
+
+from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+HERE = Path(__file__).parent
+# package.xml holds the one version number that ROS tools read; octn_ros.__version__ is tested against it.
+VERSION = ElementTree.parse(HERE / "package.xml").findtext("version")
+
+EMBEDDED = [
+    # The transport and the message definitions of the runtime that stands in for rclpy where ROS 2 is missing.
+    # The extensions of eclipse-zenoh that latched topics need are marked unstable, hence the narrow range.
+    "eclipse-zenoh>=1.10,<1.11",
+    "rosbags>=0.11,<0.12",
+    "xxhash>=3.0",
+]
+TEST = [
+    *EMBEDDED,
+    "hypothesis>=6.100",
+    "mypy>=1.10",
+    "pytest>=8.0",
+    "pytest-timeout>=2.3",
+    "ruff>=0.6",
+    "types-PyYAML",
+]
+
+setup(
+    name="octn_ros",
+    version=VERSION,
+    description="Neural OCT fields for robot-guided surgery: C-scan in, laser waypoints out",
+    long_description=(HERE / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    maintainer="octn_ros maintainers",
+    maintainer_email="maintainers@octn-ros.example",
+    packages=find_packages(include=["octn_ros", "octn_ros.*"]),
+    package_data={"octn_ros": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/octn_ros"]),
+        ("share/octn_ros", ["package.xml"]),
+        ("share/octn_ros/config", glob("config/*.yaml")),
+        ("share/octn_ros/launch", glob("launch/*.launch.py")),
+    ],
+    python_requires=">=3.10",
+    install_requires=[
+        "matplotlib>=3.6",  # pictures of the report
+        "nibabel>=5.0",  # NIfTI
+        "numpy>=1.26",
+        "pyyaml>=6.0",  # calibration files
+        "rich>=13.0",  # tables and progress bars
+        "safetensors>=0.4",  # checkpoints that run nothing when loaded
+        "scipy>=1.11",  # filters, KD-tree, rotations
+        "torch>=2.2",
+    ],
+    extras_require={"embedded": EMBEDDED, "test": TEST},
+    zip_safe=True,
+    entry_points={
+        "console_scripts": [
+            "octn = octn_ros.cli:main",
+            "trainer = octn_ros.nodes.trainer:main",
+            "query = octn_ros.nodes.query:main",
+            "planner = octn_ros.nodes.planner:main",
+            "simulator = octn_ros.nodes.simulator:main",
+        ]
+    },
+)
