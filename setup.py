@@ -53,7 +53,7 @@ setup(
         "rich>=13.0",  # tables and progress bars
         "safetensors>=0.4",  # checkpoints that run nothing when loaded
         "scipy>=1.11",  # filters, KD-tree, rotations
-        "torch>=2.2",
+        "torch>=2.4",  # Adam fused on the CPU
     ],
     extras_require={"embedded": EMBEDDED, "test": TEST},
     zip_safe=True,

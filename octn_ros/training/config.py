@@ -1,0 +1,55 @@
+"""How a field is fitted: Algorithm 1's parameters, and the two presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
+
+from octn_ros.errors import ConfigurationError
+from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig
+from octn_ros.settings import check_settings, setting
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Parameters of Algorithm 1. What the paper leaves open says so."""
+
+    preset: str = setting("paper", "name of the preset these settings started from")
+    field: NeuralFieldConfig = dataclass_field(default_factory=NeuralFieldConfig)
+    steps: int = setting(1000, "gradient steps T", low=1, high=10_000_000)
+    time_budget_s: float = setting(
+        0.0, "end the fit after this many seconds, 0 for never; both stages shrink with it", unit="s", low=0.0, high=1e6
+    )
+    batch: int = setting(1 << 18, "samples per step B (open in the paper)", low=64, high=1 << 24)
+    alpha: float = setting(0.20, "share of interpolated samples in the hybrid stage", low=0.0, high=1.0)
+    hybrid_share: float = setting(
+        0.5, "share of the fit spent in the hybrid stage, r_hyb (open in the paper)", low=0.0, high=1.0
+    )
+    learning_rate: float = setting(1e-2, "Adam's learning rate at the start (open in the paper)", low=1e-6, high=1.0)
+    final_rate_ratio: float = setting(
+        0.05, "learning rate at the end over that at the start, falling exponentially (open in the paper)",
+        low=1e-6, high=1.0,
+    )
+    seed: int = setting(0, "seed of the initial parameters and of all samples", low=0, high=2**31 - 1)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if int(self.alpha * self.batch) == 0 and self.alpha > 0:
+            raise ConfigurationError(f"alpha {self.alpha} of a batch of {self.batch} is no sample at all; raise either")
+
+
+# Two CPU cores and plain torch: fewer, wider levels whose cells follow the voxels' shape, a smaller network, and a
+# time budget. Everything else is Algorithm 1.
+FAST = FitConfig(
+    preset="fast",
+    field=NeuralFieldConfig(
+        HashGridConfig(
+            levels=4, features=4, log2_table_size=19, base_resolution=16, finest_ratio=0.5, follow_shape=True
+        ),
+        NetworkConfig(hidden_layers=1, neurons=32),
+    ),
+    steps=2000,
+    time_budget_s=30.0,
+    batch=1 << 14,
+)
+PRESETS = {"paper": FitConfig(), "fast": FAST}
