@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+
+from octn_ros.errors import QueryError
+from octn_ros.metrics import depth_rms_um, surface_distance
+
+
+def plane(x, y):
+    return 1e-3 + x + 0.0 * y  # 45 degrees
+
+
+def points_above(offset_m):
+    x, y = np.meshgrid(np.linspace(0, 1e-3, 7), np.linspace(0, 1e-3, 5))
+    return np.stack([x.ravel(), y.ravel(), plane(x, y).ravel() + offset_m], axis=1)
+
+
+def test_depth_rms_on_a_known_offset():
+    assert depth_rms_um(points_above(20e-6), plane) == pytest.approx(20.0)
+
+
+def test_distance_is_perpendicular_and_signed():
+    result = surface_distance(points_above(-20e-6), plane)
+    assert result.offset_um == pytest.approx(-20 / np.sqrt(2))
+    assert result.spread_um == pytest.approx(0.0, abs=1e-6)
+    assert result.max_um == pytest.approx(20 / np.sqrt(2))
+    assert result.rms_um == pytest.approx(20 / np.sqrt(2))
+
+
+def test_spread_is_taken_about_the_median():
+    points = np.zeros((4, 3))
+    points[:, 2] = np.array([1, 1, 1, 5]) * 1e-6
+    result = surface_distance(points, lambda x, y: 0 * x)
+    assert (result.offset_um, result.max_um) == (pytest.approx(1.0), pytest.approx(5.0))
+    assert result.spread_um == pytest.approx(2.0)
+    assert result.rms_um == pytest.approx(np.sqrt(7.0))
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan)])
+def test_points_that_cannot_be_judged(points):
+    with pytest.raises(QueryError, match="expected"):
+        depth_rms_um(points, plane)
