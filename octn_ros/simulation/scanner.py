@@ -1,0 +1,64 @@
+"""A simulated OCT scanner: any C-scan, a phantom's or a recorded one, played as B-scan images with their poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octn_ros.errors import ConfigurationError
+from octn_ros.volume.assembly import IMAGE2OCT_ROTATION
+from octn_ros.volume.volume import Volume
+
+
+@dataclass(frozen=True)
+class BScan:
+    """One cross-section as a scanner delivers it.
+
+    Attributes:
+        image: raw intensities [axial, lateral], a read-only view of the C-scan in its own type.
+        index: place along the slow axis, 0 begins a C-scan.
+        image2oct: pose of the B-scan image frame in the OCT frame, 4x4, metres.
+        stamp_ns: acquisition time in nanoseconds.
+    """
+
+    image: NDArray[Any]
+    index: int
+    image2oct: NDArray[np.float64]
+    stamp_ns: int
+
+
+class Scanner:
+    """Plays one C-scan over and over; immutable and thread-safe.
+
+    Args:
+        volume: what the scanner sees.
+    """
+
+    def __init__(self, volume: Volume) -> None:
+        self.volume = volume
+
+    def bscans(self, start_ns: int, period_ns: int) -> Iterator[BScan]:
+        """Return the B-scans of one C-scan in order, without waiting between them.
+
+        Args:
+            start_ns: stamp of B-scan 0.
+            period_ns: time from one B-scan to the next.
+
+        Raises:
+            ConfigurationError: the period is negative.
+        """
+        if period_ns < 0:
+            raise ConfigurationError(f"expected a B-scan period of at least 0 ns, got {period_ns} ns")
+        return (self._bscan(index, start_ns + index * period_ns) for index in range(self.volume.geometry.shape[0]))
+
+    def _bscan(self, index: int, stamp_ns: int) -> BScan:
+        image = self.volume.array[index].view()
+        image.flags.writeable = False
+        image2oct = np.eye(4)
+        image2oct[:3, :3] = IMAGE2OCT_ROTATION
+        image2oct[:3, 3] = self.volume.geometry.voxel_to_metric(np.array([index, 0, 0], dtype=np.float64))
+        return BScan(image, index, image2oct, stamp_ns)
