@@ -1,0 +1,29 @@
+"""Arguments that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add `--json`."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout, for machines")
+
+
+def add_spacing(parser: argparse.ArgumentParser) -> None:
+    """Add `--spacing-um BSCAN AXIAL LATERAL`."""
+    parser.add_argument(
+        "--spacing-um",
+        nargs=3,
+        type=float,
+        metavar=("BSCAN", "AXIAL", "LATERAL"),
+        help="micrometres between voxels, if the file does not state them or states them wrong",
+    )
+
+
+def spacing(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
+    """Return the spacing given, in micrometres along (bscan, axial, lateral)."""
+    if arguments.spacing_um is None:
+        return None
+    bscan, axial, lateral = arguments.spacing_um
+    return bscan, axial, lateral
