@@ -1,0 +1,181 @@
+"""The planner node: a fitted field and two corners in, laser waypoints out."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, PoseStamped
+from nav_msgs.srv import GetPlan
+from numpy.typing import NDArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from octn_ros.errors import OctnError, PlanError
+from octn_ros.nodes import conversions, process, qos, status
+from octn_ros.nodes.device import DEVICE_DESCRIPTION, torch_device
+from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
+from octn_ros.nodes.frames import ScanFrames
+from octn_ros.nodes.parameters import ConfigParameters
+from octn_ros.planning.calibration import load_calibration
+from octn_ros.planning.plan import Plan, PlannerConfig, plan_raster, plan_to_plain
+from octn_ros.resources import config_path
+from octn_ros.settings import check_settings, setting
+
+KEPT_POSES = 8  # scan_ee_pose of the last scans: the pose of a scan comes before its field
+
+
+@dataclass(frozen=True)
+class PlannerNodeConfig:
+    """What the planner has to be told about its surroundings."""
+
+    device: str = setting("auto", DEVICE_DESCRIPTION)
+    calibration: str = setting("", "calibration file (YAML); empty = the package's config/calibration.yaml")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+class Planner(Node):
+    """Plans rasters over the present field on request, and withdraws the plan when a new field comes.
+
+    Keyword arguments other than the namespace are those of `rclpy.node.Node`.
+    """
+
+    def __init__(self, *, namespace: str = "octn", **options: Any) -> None:
+        super().__init__("planner", namespace=namespace, **options)
+        config = ConfigParameters(self, PlannerNodeConfig(), read_only=True).config()
+        self._planner_config = ConfigParameters(self, PlannerConfig())
+        self._calibration = load_calibration(config.calibration or config_path("calibration.yaml"))
+        self._scan_poses: dict[int, NDArray[np.float64]] = {}
+        self._plan_stands = False
+
+        self._status = status.StatusTopic(self, "plan_status", qos.LATCHED)
+        self._waypoints = self.create_publisher(PoseArray, "waypoints", qos.LATCHED)
+        self._waypoints_base = self.create_publisher(PoseArray, "waypoints_base", qos.LATCHED)
+        self._waypoints_oct = self.create_publisher(PoseArray, "waypoints_oct", qos.LATCHED)
+        self._tool_path = self.create_publisher(PointCloud2, "tool_path", qos.LATCHED)
+        # One group for all of them: no field arrives in the middle of a plan, so no plan mixes two fields.
+        group = MutuallyExclusiveCallbackGroup()
+        device = torch_device(config.device)
+        self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
+        self.create_subscription(
+            PoseStamped, "scan_ee_pose", self._on_scan_ee_pose, qos.LATCHED, callback_group=group
+        )
+        self.create_service(GetPlan, "plan_raster", self._plan_raster, callback_group=group)
+        self.get_logger().info(
+            f"ready: device {device}, calibration {self._calibration.deviation:.1e} from orthonormal"
+        )
+
+    # --- fields and poses
+
+    def _on_field(self, received: ReceivedField) -> None:
+        if self._plan_stands:
+            self._withdraw(received)
+        self.get_logger().info(f"field {received.hash} of the scan at {received.stamp_ns} ns received")
+
+    def _on_bad_field(self, reason: str) -> None:
+        self._status.report(status.ERROR, f"field refused, the last one is kept: {reason}")
+
+    def _on_scan_ee_pose(self, message: PoseStamped) -> None:
+        base = self._calibration.base_frame
+        if message.header.frame_id != base:
+            self.get_logger().error(f"scan_ee_pose ignored: expected it in {base}, got {message.header.frame_id!r}")
+            return
+        try:
+            pose = conversions.pose_to_matrix(message.pose)
+        except OctnError as error:
+            self.get_logger().error(f"scan_ee_pose ignored: {error}")
+            return
+        self._scan_poses[conversions.stamp_to_ns(message.header.stamp)] = pose
+        while len(self._scan_poses) > KEPT_POSES:
+            del self._scan_poses[next(iter(self._scan_poses))]
+
+    # --- plans
+
+    def _plan_raster(self, request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
+        try:
+            received, ee2base, plan = self._make_plan(request)
+        except OctnError as error:
+            self._status.report(status.ERROR, f"plan_raster refused: {error}")
+            return response
+        except Exception as error:  # a fault of ours, or memory that ran out: the node and its callers live on
+            self._status.report(status.ERROR, f"plan_raster failed: {type(error).__name__}: {error}")
+            return response
+        self._publish(received, plan, ee2base)
+        response.plan = conversions.to_path(plan.waypoints_ee, received.stamp_ns, self._calibration.ee_frame)
+        return response
+
+    def _make_plan(self, request: GetPlan.Request) -> tuple[ReceivedField, NDArray[np.float64] | None, Plan]:
+        received = self._fields.current
+        if received is None:
+            raise PlanError("expected a fitted field, got none yet; scan or load a C-scan and wait for its fit")
+        # A float32 carries seven digits: its shortest decimal is what the caller wrote.
+        line_spacing_m = float(str(np.float32(request.tolerance)))
+        if not (math.isfinite(line_spacing_m) and line_spacing_m >= 0.0):
+            raise PlanError(f"expected a line spacing (tolerance) of 0 or more metres, got {line_spacing_m}")
+        config = self._planner_config.config()
+        if line_spacing_m > 0.0:
+            config = dataclasses.replace(
+                config, raster=dataclasses.replace(config.raster, line_spacing_m=line_spacing_m)
+            )
+        ee2base = self._scan_poses.get(received.stamp_ns)
+        frames = ScanFrames(self._calibration, ee2base)
+        start, goal = frames.to_oct(request.start), frames.to_oct(request.goal)
+        plan = plan_raster(
+            received.field,
+            self._calibration,
+            start[:2, 3],
+            goal[:2, 3],
+            math.atan2(start[1, 0], start[0, 0]),
+            config,
+            field_hash=received.hash,
+        )
+        return received, ee2base, plan
+
+    def _publish(self, received: ReceivedField, plan: Plan, ee2base: NDArray[np.float64] | None) -> None:
+        rows = conversions.tool_path(
+            plan.waypoints_ee, plan.segment, plan.laser_on, plan.speed_m_s, plan.residual, plan.confidence
+        )
+        base = np.empty((0, 4, 4)) if ee2base is None else ee2base @ plan.waypoints_ee
+        self._send(received, rows, plan.waypoints_ee, plan.waypoints_oct, base)
+        self._plan_stands = True
+        figures = plan_to_plain(plan)
+        self._status.report(status.OK, f"{len(rows)} waypoints", figures)
+
+    def _withdraw(self, received: ReceivedField) -> None:
+        nothing = np.empty((0, 4, 4))
+        self._send(received, np.empty(0, conversions.TOOL_PATH), nothing, nothing, nothing)
+        self._plan_stands = False
+        self._status.report(
+            status.WARN, "a new field has come, the plan of the last one is withdrawn", {"field_hash": received.hash}
+        )
+
+    def _send(
+        self,
+        received: ReceivedField,
+        rows: NDArray[np.void],
+        ee: NDArray[np.float64],
+        oct_: NDArray[np.float64],
+        base: NDArray[np.float64],
+    ) -> None:
+        stamp_ns, calibration = received.stamp_ns, self._calibration
+        self._tool_path.publish(conversions.to_cloud(rows, stamp_ns, calibration.ee_frame))
+        self._waypoints_oct.publish(conversions.to_pose_array(oct_, stamp_ns, received.frame))
+        if len(base) or self._plan_stands:  # without a pose there is nothing to say, except that the old ones are over
+            self._waypoints_base.publish(conversions.to_pose_array(base, stamp_ns, calibration.base_frame))
+        self._waypoints.publish(conversions.to_pose_array(ee, stamp_ns, calibration.ee_frame))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the planner as a process."""
+    return process.run(Planner, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

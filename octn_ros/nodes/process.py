@@ -1,0 +1,45 @@
+"""The life of a node's process: from its arguments to its exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+
+from octn_ros.errors import OctnError
+
+THREADS = 4  # a slow service, a slow subscription, and two for whatever else is asked meanwhile
+
+
+def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+    """Make a node and spin it until SIGINT, SIGTERM or a shutdown from outside.
+
+    Args:
+        make_node: makes the node; called once rclpy is initialised.
+        args: command-line arguments with `--ros-args`, None for those of the process.
+
+    Returns:
+        The exit code: 0 after an ordered end, 2 for parameters that the node cannot start with.
+    """
+    rclpy.init(args=args)
+    node = None
+    try:
+        node = make_node()
+        executor = MultiThreadedExecutor(num_threads=THREADS)
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (OctnError, InvalidParameterTypeException, InvalidParameterValueException) as error:
+        if node is not None:
+            raise  # not a matter of parameters: an error that a callback should have caught
+        rclpy.logging.get_logger("octn_ros").fatal(str(error))
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,33 @@
+"""The quality-of-service profiles of the graph, named once."""
+
+from __future__ import annotations
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+# The last value reaches whoever comes later. Both ends must use it: a volatile reader gets nothing it came late for.
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# Reports that come in a row, such as the progress of a fit or the pose of the arm.
+STREAM = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=50,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
+_SMALLEST_SCAN_DEPTH = 1024  # more than the B-scans of any C-scan in the paper; the queue is only filled when needed
+
+
+def scan_profile(bscan_count: int) -> QoSProfile:
+    """Return the profile of `bscan` and `bscan_pose`: reliable, and a whole C-scan fits into the queue."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=max(bscan_count, _SMALLEST_SCAN_DEPTH),
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+    )

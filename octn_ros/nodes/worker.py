@@ -1,0 +1,65 @@
+"""A thread that does one long job at a time, away from the executor."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+Job = Callable[[Callable[[], bool]], None]
+
+
+class Worker:
+    """Runs jobs in a thread of its own; of those that wait, only the newest is kept.
+
+    A job is given a function that says whether it was cancelled, and asks it often. It must not raise. All methods
+    may be called from any thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._condition = threading.Condition()
+        self._waiting: Job | None = None
+        self._stop: threading.Event | None = None  # of the running job, None while idle
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs or waits."""
+        with self._condition:
+            return self._stop is not None or self._waiting is not None
+
+    def submit(self, job: Job) -> bool:
+        """Run a job now, or after the present one in place of any that waits; return whether it has to wait."""
+        with self._condition:
+            self._waiting = job
+            self._condition.notify()
+            return self._stop is not None
+
+    def cancel(self) -> bool:
+        """Ask the running job to end and forget the waiting one; return whether there was any."""
+        with self._condition:
+            any_job = self._stop is not None or self._waiting is not None
+            self._waiting = None
+            if self._stop is not None:
+                self._stop.set()
+            return any_job
+
+    def close(self, timeout_s: float) -> None:
+        """Cancel everything, take no more jobs, and wait at most `timeout_s` for the running one to end."""
+        self.cancel()
+        with self._condition:
+            self._closed = True
+            self._condition.notify()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._stop = None
+                self._condition.wait_for(lambda: self._waiting is not None or self._closed)
+                job, self._waiting = self._waiting, None
+                if job is None or self._closed:
+                    return
+                stop = self._stop = threading.Event()
+            job(stop.is_set)
