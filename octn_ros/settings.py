@@ -60,8 +60,7 @@ def check_settings(config: Any) -> None:
 def as_plain(config: Any) -> dict[str, Any]:
     """Return a configuration as nested dicts and lists that JSON can hold."""
     return {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in dataclasses.asdict(config).items()
+        key: list(value) if isinstance(value, tuple) else value for key, value in dataclasses.asdict(config).items()
     }
 
 

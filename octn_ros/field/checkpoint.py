@@ -144,7 +144,7 @@ def _read_header(data: bytes) -> dict[str, Any]:
         version = header["version"]
         sizes = [math.prod(entry["shape"]) for name, entry in outer.items() if name != "__metadata__"]
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise CheckpointError(f"expected a field of this package in safetensors, got something else ({error})") from error
+        raise CheckpointError(f"expected a field of this package in safetensors, got other content: {error}") from error
     if version != FORMAT_VERSION:
         raise CheckpointError(f"expected a field of format version {FORMAT_VERSION}, got {version}; update octn_ros")
     if sum(sizes) * 2 > len(data):

@@ -134,10 +134,7 @@ class _Level:
         rows, weights = [], []
         for a, b, c in _CORNERS:
             first, second, third = products[0][a], products[1][b], products[2][c]
-            if self.dense:
-                row = first + second + third
-            else:
-                row = (first ^ second ^ third) & (self.size - 1)
+            row = first + second + third if self.dense else (first ^ second ^ third) & (self.size - 1)
             rows.append(row + self.first_row)
             weights.append(shares[0][a] * shares[1][b] * shares[2][c])
         return torch.stack(rows, dim=-1), torch.stack(weights, dim=-1)

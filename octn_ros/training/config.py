@@ -27,8 +27,10 @@ class FitConfig:
     )
     learning_rate: float = setting(1e-2, "Adam's learning rate at the start (open in the paper)", low=1e-6, high=1.0)
     final_rate_ratio: float = setting(
-        0.05, "learning rate at the end over that at the start, falling exponentially (open in the paper)",
-        low=1e-6, high=1.0,
+        0.05,
+        "learning rate at the end over that at the start, falling exponentially (open in the paper)",
+        low=1e-6,
+        high=1.0,
     )
     seed: int = setting(0, "seed of the initial parameters and of all samples", low=0, high=2**31 - 1)
 

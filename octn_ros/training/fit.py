@@ -116,7 +116,7 @@ def fit(
         loss.backward()
         optimizer.step()
         step += 1
-        tally.add(float(loss), float(error.detach()[:voxels].mean()) if voxels else math.nan)
+        tally.add(float(loss.detach()), float(error.detach()[:voxels].mean()) if voxels else math.nan)
         report = tally.report(step, "hybrid" if hybrid else "discrete", last=step == config.steps)
         if report is not None:
             history.append(report)

@@ -98,9 +98,7 @@ def _read(path: Path) -> tuple[Any, NDArray[Any]]:
         return image, np.asanyarray(image.dataobj)
 
 
-def _spacing_m(
-    path: Path, image: Any, spacing_um: tuple[float, float, float] | None
-) -> tuple[float, float, float]:
+def _spacing_m(path: Path, image: Any, spacing_um: tuple[float, float, float] | None) -> tuple[float, float, float]:
     if spacing_um is not None:
         bscan, axial, lateral = (float(s) * 1e-6 for s in spacing_um)
         return bscan, axial, lateral

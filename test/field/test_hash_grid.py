@@ -1,0 +1,119 @@
+import math
+
+import pytest
+import torch
+
+from octn_ros.errors import ConfigurationError
+from octn_ros.field.hash_grid import HashGrid, HashGridConfig
+
+SHAPE = (20, 30, 40)
+DENSE = HashGridConfig(levels=3, features=2, log2_table_size=17, base_resolution=4)
+HASHED = HashGridConfig(levels=4, features=4, log2_table_size=6, base_resolution=4)
+
+
+def made(config, seed=0):
+    torch.manual_seed(seed)
+    grid = HashGrid(config, SHAPE).double()
+    with torch.no_grad():
+        grid.table.uniform_(-1, 1)
+    return grid
+
+
+def points(count, seed=0):
+    return torch.rand(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+
+
+def test_level_scales_follow_the_published_formula():
+    config = HashGridConfig(levels=5, base_resolution=16)
+    scales = config.level_scales((100, 256, 256))
+    growth = (256 / 16) ** (1 / 4)
+    for level, scale in enumerate(scales):
+        assert scale == pytest.approx((16 * growth**level - 1,) * 3)
+
+
+def test_cells_follow_the_shape_when_asked():
+    scales = HashGridConfig(levels=2, base_resolution=16, follow_shape=True).level_scales((20, 40, 80))
+    assert scales[1] == pytest.approx((79, 39, 19))
+
+
+def test_paper_preset_stores_what_the_paper_says():
+    with torch.device("meta"):
+        grid = HashGrid(HashGridConfig(), (256, 512, 512))
+    assert grid.width == 48
+    hashed = [level for level in grid._levels if not level.dense]
+    assert hashed
+    assert all(level.size == 2**20 for level in hashed)
+
+
+def test_dense_vertices_are_distinct_rows():
+    grid = made(DENSE)
+    corners = torch.tensor([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], dtype=torch.float64)
+    for level in grid._levels:
+        assert level.dense
+        rows, _ = level.corners((corners + 1) / 2)
+        assert rows.min() >= level.first_row
+        assert rows.max() < level.first_row + level.size
+    axis = (torch.arange(int(DENSE.base_resolution)) + 0.0) / (DENSE.base_resolution - 1)
+    lattice = torch.cartesian_prod(axis, axis, axis).double()
+    rows, _ = grid._levels[0].corners(lattice)
+    assert rows.unique().numel() == math.prod(grid._levels[0].vertices)
+
+
+def test_weights_are_a_partition_of_unity():
+    _, weights = made(HASHED)._rows_and_weights(points(100))
+    assert (weights >= 0).all()
+    torch.testing.assert_close(weights.sum(-1), torch.ones(400, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("config", [DENSE, HASHED])
+def test_fused_path_equals_the_reference_in_values_and_table_gradients(config):
+    grid, where = made(config), points(300)
+    fused = grid(where)
+    reference = grid(where.clone().requires_grad_(True))
+    torch.testing.assert_close(fused, reference, rtol=1e-12, atol=1e-12)
+    weights = torch.rand_like(fused)
+    (by_fused,) = torch.autograd.grad((fused * weights).sum(), grid.table)
+    (by_reference,) = torch.autograd.grad((reference * weights).sum(), grid.table)
+    torch.testing.assert_close(by_fused, by_reference, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("config", [DENSE, HASHED])
+def test_position_gradient_matches_differences_inside_cells(config):
+    grid = made(config)
+    where, step = points(200, seed=3), 1e-6
+    # Keep to points whose neighbours at +-step lie in the same cell of every level.
+    keep = torch.ones(len(where), dtype=torch.bool)
+    for level in grid._levels:
+        position = (where + 1) / 2 * torch.tensor(level.scale) + 0.5
+        keep &= ((position - position.round()).abs() > 1e-3).all(-1)
+    where = where[keep].requires_grad_(True)
+    assert len(where) > 100
+    weights = torch.rand(grid.width, dtype=torch.float64)
+    (exact,) = torch.autograd.grad((grid(where) @ weights).sum(), where)
+    for axis in range(3):
+        shift = torch.zeros(3, dtype=torch.float64)
+        shift[axis] = step
+        with torch.no_grad():
+            difference = (grid(where + shift) - grid(where - shift)) @ weights / (2 * step)
+        torch.testing.assert_close(exact[:, axis], difference, rtol=1e-6, atol=1e-6)
+
+
+def test_continuous_across_cell_faces():
+    grid = made(HASHED)
+    for level in grid._levels:
+        face = torch.full((1, 3), 0.3, dtype=torch.float64)
+        face[0, 1] = (math.floor(level.scale[1] / 2) - 0.5) / level.scale[1] * 2 - 1
+        shift = torch.tensor([0, 1e-9, 0], dtype=torch.float64)
+        torch.testing.assert_close(grid(face - shift), grid(face + shift), atol=1e-6, rtol=0)
+
+
+def test_outside_the_cube_the_nearest_point_answers():
+    grid = made(HASHED)
+    outside = torch.tensor([[1.5, 0.2, -3.0]], dtype=torch.float64)
+    torch.testing.assert_close(grid(outside), grid(outside.clamp(-1, 1)))
+
+
+@pytest.mark.parametrize("wrong", [{"levels": 0}, {"features": 17}, {"log2_table_size": 40}, {"finest_ratio": 0.0}])
+def test_bad_shapes_are_refused(wrong):
+    with pytest.raises(ConfigurationError, match=next(iter(wrong))):
+        HashGridConfig(**wrong)
