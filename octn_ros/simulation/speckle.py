@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,7 @@ class Speckle:
             impulse[0] = 1.0
             deviates = gaussian_filter1d(deviates, sigma, axis=2, mode="wrap")
             deviates /= np.float32(np.linalg.norm(gaussian_filter1d(impulse, sigma, mode="wrap")))
-        return np.interp(deviates, _DEVIATES, self._gain_db()).astype(np.float32)
+        return np.interp(deviates, _DEVIATES, _gain_db(self.looks)).astype(np.float32)
 
     def expected_display(self, level_db: NDArray[np.floating], dynamic_range_db: float) -> NDArray[np.float64]:
         """Return the mean of clip(level + gain, 0, range) / range over the speckle.
@@ -83,15 +84,17 @@ class Speckle:
         Returns:
             Displayed intensity in [0, 1], [N], clipping at both ends included.
         """
-        deviates, gain = _DEVIATES[::4], self._gain_db()[::4]
+        deviates, gain = _DEVIATES[::4], _gain_db(self.looks)[::4]
         weights = np.exp(-0.5 * deviates**2)
         weights /= weights.sum()
         display = np.clip((np.asarray(level_db)[:, None] + gain) / dynamic_range_db, 0.0, 1.0)
         return np.asarray(display @ weights)
 
-    def _gain_db(self) -> NDArray[np.float64]:
-        """Return the gain in dB at each tabulated deviate: the gamma quantile of the same probability."""
-        # Each half is taken from its own tail, where the probability keeps its digits.
-        low, high = _DEVIATES[_DEVIATES < 0], _DEVIATES[_DEVIATES >= 0]
-        quantiles = np.concatenate([gammaincinv(self.looks, ndtr(low)), gammainccinv(self.looks, ndtr(-high))])
-        return np.asarray(_DB_PER_NEPER * np.log(quantiles / self.looks))
+
+@lru_cache(maxsize=8)
+def _gain_db(looks: float) -> NDArray[np.float64]:
+    """Return the gain in dB at each tabulated deviate: the gamma quantile of the same probability."""
+    # Each half is taken from its own tail, where the probability keeps its digits.
+    low, high = _DEVIATES[_DEVIATES < 0], _DEVIATES[_DEVIATES >= 0]
+    quantiles = np.concatenate([gammaincinv(looks, ndtr(low)), gammainccinv(looks, ndtr(-high))])
+    return np.asarray(_DB_PER_NEPER * np.log(quantiles / looks))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,10 +77,16 @@ class CScanAssembler:
                 or late, and of those missing before it; or the complete C-scan is not a usable Volume. The partial
                 C-scan is dropped. Where B-scan 0 interrupts a C-scan, the new one has begun nevertheless.
         """
-        index = self._index(image2oct)
+        pose = np.asarray(image2oct, dtype=np.float64)
+        if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
+            self._drop(f"expected a finite 4x4 pose of the B-scan, got {pose.tolist()}")
+        place = float(pose[1, 3]) / self._spacing_m[0]
+        if abs(place) > _PLACE_TOLERANCE and self._aside:
+            return None
+        index = self._index(pose, place)
         if index == 0:
             interrupted = self._received
-            self._begin(image, image2oct, stamp_ns)
+            self._begin(image, pose, stamp_ns)
             if interrupted:
                 raise VolumeError(
                     f"expected B-scan {interrupted} of {self._count}, got B-scan 0; "
@@ -88,26 +94,20 @@ class CScanAssembler:
                 )
             return None
         if self._voxels is None:
-            if not self._aside:
-                self._drop(f"expected B-scan 0, which begins a C-scan, got B-scan {index}; waiting for the next B-scan 0")
-            return None
-        self._check(index, image, image2oct, stamp_ns)
+            self._drop(f"expected B-scan 0, which begins a C-scan, got B-scan {index}; waiting for a B-scan 0")
+        self._check(index, image, pose, stamp_ns)
         self._voxels[index] = image
         self._received += 1
         self._last_stamp_ns = stamp_ns
         return self._finish() if self._received == self._count else None
 
-    def _index(self, image2oct: NDArray[np.floating]) -> int:
-        pose = np.asarray(image2oct, dtype=np.float64)
-        if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
-            self._drop(f"expected a finite 4x4 pose of the B-scan after {self._received - 1}, got {pose.tolist()}")
+    def _index(self, pose: NDArray[np.float64], place: float) -> int:
+        index = math.floor(place + 0.5)
         if np.abs(pose[:3, :3] - IMAGE2OCT_ROTATION).max() > _ROTATION_TOLERANCE:
             self._drop(
-                "expected the image axes x, y, z along lateral, axial and -bscan of the OCT frame, got the rotation "
+                f"B-scan {index}: expected image axes x, y, z along lateral, axial and -bscan of the OCT frame, got "
                 f"{np.round(pose[:3, :3], 4).tolist()}; mirror a scan direction in the scanner's configuration instead"
             )
-        place = float(pose[1, 3]) / self._spacing_m[0]
-        index = math.floor(place + 0.5)
         if abs(place - index) > _PLACE_TOLERANCE:
             self._drop(
                 f"expected B-scans every {self._spacing_m[0] * 1e6:g} um from y = 0, got one at y = "
@@ -117,7 +117,7 @@ class CScanAssembler:
             self._drop(f"expected B-scan indices 0 to {self._count - 1}, got {index} (y = {pose[1, 3] * 1e6:g} um)")
         return index
 
-    def _begin(self, image: NDArray[Any], image2oct: NDArray[np.floating], stamp_ns: int) -> None:
+    def _begin(self, image: NDArray[Any], pose: NDArray[np.float64], stamp_ns: int) -> None:
         if image.ndim != 2 or min(image.shape) < 2 or image.dtype not in _DTYPES:
             self._drop(
                 "B-scan 0: expected an image [axial, lateral] of at least 2 x 2 uint8, uint16 or float32, "
@@ -126,11 +126,11 @@ class CScanAssembler:
         self._voxels = np.empty((self._count, *image.shape), dtype=image.dtype)
         self._voxels[0] = image
         self._received = 1
-        self._origin_m = (float(image2oct[0, 3]), float(image2oct[1, 3]), float(image2oct[2, 3]))
+        self._origin_m = (float(pose[0, 3]), float(pose[1, 3]), float(pose[2, 3]))
         self._stamp_ns = self._last_stamp_ns = stamp_ns
         self._aside = False
 
-    def _check(self, index: int, image: NDArray[Any], image2oct: NDArray[np.floating], stamp_ns: int) -> None:
+    def _check(self, index: int, image: NDArray[Any], pose: NDArray[np.float64], stamp_ns: int) -> None:
         assert self._voxels is not None
         if index < self._received:
             self._drop(f"expected B-scan {self._received} of {self._count}, got B-scan {index} again")
@@ -143,7 +143,7 @@ class CScanAssembler:
                 f"B-scan {index}: expected {first.shape} of {first.dtype} as in B-scan 0, "
                 f"got {image.shape} of {image.dtype}"
             )
-        shift = (float(image2oct[0, 3]) - self._origin_m[0], float(image2oct[2, 3]) - self._origin_m[2])
+        shift = (float(pose[0, 3]) - self._origin_m[0], float(pose[2, 3]) - self._origin_m[2])
         _, axial_m, lateral_m = self._spacing_m
         if abs(shift[0]) > _PLACE_TOLERANCE * lateral_m or abs(shift[1]) > _PLACE_TOLERANCE * axial_m:
             self._drop(
@@ -165,6 +165,6 @@ class CScanAssembler:
             voxels, self._spacing_m, intensity_scale=self._scale, origin_m=self._origin_m, stamp_ns=stamp_ns
         )
 
-    def _drop(self, reason: str) -> None:
+    def _drop(self, reason: str) -> NoReturn:
         self._voxels, self._received, self._aside = None, 0, True
         raise VolumeError(reason)

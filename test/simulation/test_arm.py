@@ -1,0 +1,249 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from octn_ros.errors import ConfigurationError, ExecutionError
+from octn_ros.planning.transforms import from_rotation, invert
+from octn_ros.simulation import Arm, ArmConfig, LaserPath
+
+SCAN_NS = 1_000_000_000
+SPACING_M = 50e-6
+LINES, POINTS = 3, 5
+COUNT = LINES * POINTS
+
+
+def posed(x, y, z, *degrees):
+    return from_rotation(np.array([x, y, z]), Rotation.from_euler("xyz", degrees, degrees=True).as_matrix())
+
+
+SCAN_POSE = posed(0.4, 0.1, 0.3, 175, 5, 30)
+LASER2EE = posed(0.02, -0.01, 0.12, 3, -4, 10)
+
+
+def zigzag(**changes):
+    """Three lines of five points, the beam leaning a little differently at each; the turns are dark."""
+    rows, columns = np.divmod(np.arange(COUNT), POINTS)
+    columns = np.where(rows % 2 == 0, columns, POINTS - 1 - columns)
+    poses = np.tile(np.eye(4), (COUNT, 1, 1))
+    angles = 0.2 * np.stack([columns, rows], axis=1)
+    poses[:, :3, :3] = Rotation.from_euler("xy", angles, degrees=True).as_matrix()
+    poses[:, :3, 3] = SPACING_M * np.stack([columns + 1, rows + 1, np.ones(COUNT)], axis=1)
+    values = {
+        "waypoints_ee": LASER2EE @ poses,
+        "segment": rows,
+        "laser_on": np.ones(COUNT, bool),
+        "speed_m_s": np.full(COUNT, 0.01),
+        "stamp_ns": SCAN_NS,
+        "frame": "tool0",
+    }
+    return LaserPath(**{**values, **changes})
+
+
+def expected_spots(path):
+    return (SCAN_POSE @ path.waypoints_ee)[:, :3, 3]
+
+
+@pytest.fixture
+def arm():
+    return Arm(ArmConfig(), LASER2EE, SCAN_POSE)
+
+
+def run(arm, path, dt_s=None, most_steps=10_000):
+    arm.stage(path, SCAN_NS, SCAN_POSE)
+    arm.execute(SCAN_NS + 1)
+    for _ in range(most_steps):
+        arm.step(dt_s)
+        if arm.state != "executing":
+            return
+    raise AssertionError(f"expected the end of the path in {most_steps} steps, at {arm.progress}")
+
+
+@pytest.mark.parametrize("dt_s", [1e-4, 0.008, 10.0])
+def test_every_shot_falls_exactly_on_its_waypoint(arm, dt_s):
+    path = zigzag()
+    run(arm, path, dt_s)
+    assert (arm.state, arm.executed, arm.progress) == ("done", COUNT, (COUNT, COUNT))
+    np.testing.assert_allclose(arm.shots, expected_spots(path), atol=1e-12)
+    assert not arm.laser_on
+
+
+def test_the_focus_goes_through_the_waypoints_with_the_beam_as_planned(arm):
+    path = zigzag()
+    run(arm, path, 1e-4)
+    focus = np.array([sample.ee2base @ LASER2EE for sample in arm.history])
+    spots = SCAN_POSE @ path.waypoints_ee
+    for spot in spots:
+        distance = np.linalg.norm(focus[:, :3, 3] - spot[:3, 3], axis=1)
+        nearest = int(np.argmin(distance))
+        # Within one step at 10 mm/s; the beam turns by 0.2 degrees from waypoint to waypoint.
+        assert distance[nearest] < 1.1e-6
+        assert np.degrees(np.arccos(np.clip(focus[nearest, :3, 2] @ spot[:3, 2], -1, 1))) < 0.01
+
+
+@pytest.mark.parametrize("max_speed_m_s", [0.02, 0.25])
+def test_neither_focus_nor_tool_is_faster_than_allowed(max_speed_m_s):
+    arm = Arm(ArmConfig(max_speed_m_s=max_speed_m_s), LASER2EE, SCAN_POSE)
+    dt_s = 2e-4
+    run(arm, zigzag(), dt_s)
+    poses = np.array([SCAN_POSE, *(sample.ee2base for sample in arm.history)])
+    tool = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / dt_s
+    assert tool.max() <= max_speed_m_s * (1 + 1e-6)
+    lit = np.array([sample.laser_on for sample in arm.history])
+    focus = np.linalg.norm(np.diff((poses @ LASER2EE)[:, :3, 3], axis=0), axis=1) / dt_s
+    # A leg is straight for the tool; turning bends the way of the focus by next to nothing.
+    # A lit step after a dark one began before the first waypoint of its line.
+    assert focus[1:][lit[1:] & lit[:-1]].max() <= 0.01 * 1.001
+
+
+def test_history_is_timed_and_dark_on_turns_and_on_the_way_there_and_back(arm):
+    run(arm, zigzag(), 1e-4)
+    times = np.array([sample.time_ns for sample in arm.history])
+    lit = np.array([sample.laser_on for sample in arm.history])
+    assert times[0] == SCAN_NS + 1 + 100_000
+    assert (np.diff(times) > 0).all()
+    assert not lit[0]
+    assert not lit[-1]
+    stretches = np.flatnonzero(np.diff(lit.astype(int)) == 1)
+    assert len(stretches) == LINES, "lit once for each line"
+    np.testing.assert_allclose(arm.ee2base, SCAN_POSE, atol=1e-12)
+
+
+def test_dark_waypoints_are_passed_without_a_shot(arm):
+    laser_on = np.arange(COUNT) % 3 == 0
+    path = zigzag(laser_on=laser_on)
+    run(arm, path)
+    np.testing.assert_allclose(arm.shots, expected_spots(path)[laser_on], atol=1e-12)
+
+
+def test_history_is_bounded(arm, monkeypatch):
+    monkeypatch.setattr("octn_ros.simulation.arm.HISTORY_LENGTH", 5)
+    arm = Arm(ArmConfig(), LASER2EE, SCAN_POSE)
+    run(arm, zigzag(), 1e-3)
+    assert len(arm.history) == 5
+
+
+def test_staging_moves_nothing(arm):
+    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    assert arm.step() == 0
+    np.testing.assert_allclose(arm.ee2base, SCAN_POSE)
+    assert (arm.state, arm.executed, arm.progress) == ("staged", 0, (0, COUNT))
+
+
+def test_the_target_puts_the_laser_frame_on_the_waypoint(arm):
+    path = zigzag()
+    arm.stage(path, SCAN_NS, SCAN_POSE)
+    arm.execute(SCAN_NS)
+    while arm.progress[0] == 0:
+        arm.step(1e-5)
+    expected = SCAN_POSE @ path.waypoints_ee[0] @ invert(LASER2EE)
+    np.testing.assert_allclose(arm.ee2base[:3, 3], expected[:3, 3], atol=3e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "scan_ns", "pose", "message"),
+    [
+        ({"frame": "base_link"}, SCAN_NS, SCAN_POSE, "in frame 'tool0', got frame 'base_link'"),
+        ({"stamp_ns": 5}, SCAN_NS, SCAN_POSE, r"present scan \(stamp 1000000000 ns\), got one of another scan"),
+        ({}, SCAN_NS + 1, SCAN_POSE, "another scan"),
+        ({}, SCAN_NS, np.diag([2.0, 1, 1, 1]), "scan_ee2base: expected a rotation"),
+        ({}, SCAN_NS, posed(0.9, 0, 0, 0, 0, 0), "within the reach of 0.85 m, got 0.900 m at waypoint 0 of 15"),
+    ],
+)
+def test_plans_that_do_not_fit_are_refused(arm, changes, scan_ns, pose, message):
+    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    with pytest.raises(ExecutionError, match=message):
+        arm.stage(zigzag(**changes), scan_ns, pose)
+    assert arm.state == "idle", "a refused plan leaves none behind"
+
+
+def test_an_empty_plan_is_refused(arm):
+    empty = LaserPath(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0), np.zeros(0), SCAN_NS, "tool0")
+    with pytest.raises(ExecutionError, match="got an empty plan"):
+        arm.stage(empty, SCAN_NS, SCAN_POSE)
+
+
+def test_execute_needs_a_plan_and_takes_it_once(arm):
+    with pytest.raises(ExecutionError, match=r"expected a staged plan, got none \(the arm is idle\)"):
+        arm.execute(SCAN_NS)
+    run(arm, zigzag())
+    with pytest.raises(ExecutionError, match="the arm is done"):
+        arm.execute(SCAN_NS)
+    run(arm, zigzag())
+    assert arm.executed == COUNT
+
+
+@pytest.mark.parametrize(("age_s", "allowed"), [(0.0, True), (9.9, True), (10.1, False), (-0.1, False)])
+def test_execute_refuses_an_old_plan(age_s, allowed):
+    arm = Arm(ArmConfig(plan_max_age_s=10.0), LASER2EE, SCAN_POSE)
+    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    if allowed:
+        arm.execute(SCAN_NS + int(age_s * 1e9))
+        assert arm.state == "executing"
+    else:
+        with pytest.raises(ExecutionError, match="whose scan is 0 to 10 s old, got one of"):
+            arm.execute(SCAN_NS + int(age_s * 1e9))
+        assert arm.state == "staged"
+
+
+def test_a_new_scan_withdraws_the_plan(arm):
+    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    arm.new_scan()
+    with pytest.raises(ExecutionError, match="the arm is idle"):
+        arm.execute(SCAN_NS)
+
+
+@pytest.mark.parametrize("stop", ["abort", "new_scan"])
+def test_stopping_in_mid_raster_turns_the_laser_off_at_once(arm, stop):
+    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    arm.execute(SCAN_NS)
+    while arm.executed < 7:
+        arm.step(1e-3)
+    assert arm.laser_on
+    pose, shots = arm.ee2base.copy(), arm.executed
+    getattr(arm, stop)()
+    assert (arm.state, arm.laser_on, arm.history[-1].laser_on) == ("aborted", False, False)
+    assert arm.step() == 0
+    np.testing.assert_array_equal(arm.ee2base, pose)
+    assert arm.executed == shots
+    with pytest.raises(ExecutionError, match="the arm is aborted"):
+        arm.execute(SCAN_NS)
+
+
+def test_stopping_without_a_plan_changes_nothing(arm):
+    arm.abort()
+    arm.new_scan()
+    arm.withdraw()
+    assert arm.state == "idle"
+
+
+def test_a_running_arm_takes_no_other_plan(arm):
+    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    arm.execute(SCAN_NS)
+    with pytest.raises(ExecutionError, match="abort first"):
+        arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    assert arm.state == "executing"
+
+
+@pytest.mark.parametrize("dt_s", [-1.0, np.nan, np.inf])
+def test_impossible_steps_are_refused(arm, dt_s):
+    with pytest.raises(ExecutionError, match="at least 0 s"):
+        arm.step(dt_s)
+
+
+def test_transforms_and_limits_are_checked():
+    with pytest.raises(ExecutionError, match="laser2ee: expected a rotation"):
+        Arm(ArmConfig(), np.diag([1.0, 1, -1, 1]), SCAN_POSE)
+    with pytest.raises(ExecutionError, match="ee2base: expected a transform of 4x4"):
+        Arm(ArmConfig(), LASER2EE, np.eye(3))
+    with pytest.raises(ConfigurationError, match="max_speed_m_s"):
+        ArmConfig(max_speed_m_s=0.0)
+
+
+def test_ten_thousand_waypoints_are_quick(arm):
+    count = 10_000
+    poses = np.tile(LASER2EE, (count, 1, 1))
+    poses[:, 0, 3] += np.linspace(0, 3e-3, count)
+    path = LaserPath(poses, np.zeros(count), np.ones(count), np.full(count, 0.1), SCAN_NS, "tool0")
+    run(arm, path)
+    assert arm.executed == count
+
