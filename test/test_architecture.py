@@ -1,0 +1,103 @@
+"""The rules of the house: which room may import which, what importing loads, how long a file may be."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import octn_ros
+
+REPOSITORY = Path(__file__).parents[1]
+PACKAGE = REPOSITORY / "octn_ros"
+MAX_LINES = 500
+
+# What each room may import of the others; everything may import errors and settings.
+ALLOWED = {
+    "volume": set(),
+    "metrics": set(),
+    "field": {"volume"},
+    "training": {"volume", "field", "metrics"},
+    "query": {"volume", "field"},
+    "planning": {"volume", "field", "query", "metrics"},
+    "simulation": {"volume", "planning", "metrics"},
+    "evaluation": {"volume", "field", "training", "query", "planning", "metrics", "simulation"},
+    "embedded": set(),
+}
+CORE = [room for room in ALLOWED if room != "embedded"]
+
+
+def modules():
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def imports(path):
+    """Return every absolute module name that a file imports, also inside functions."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names.add(node.module)
+            names.update(f"{node.module}.{alias.name}" for alias in node.names if node.module == "octn_ros")
+    return names
+
+
+def test_dependencies_point_one_way():
+    wrong = []
+    for room, allowed in ALLOWED.items():
+        for path in (PACKAGE / room).rglob("*.py"):
+            for name in imports(path):
+                match = re.match(r"octn_ros\.(\w+)", name)
+                if match and match[1] not in {room, "errors", "settings", "__version__", *allowed}:
+                    wrong.append(f"{path.relative_to(PACKAGE)} imports {name}")
+    assert not wrong
+
+
+def test_conversions_alone_turn_messages_into_arrays():
+    readers = [p.name for p in (PACKAGE / "nodes").glob("*.py") if "numpy" in imports(p) and "msg" in p.read_text()]
+    messages = {"frombuffer", "tobytes", "frombytes"}
+    for path in (PACKAGE / "nodes").glob("*.py"):
+        if path.name == "conversions.py":
+            continue
+        calls = {n.attr for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Attribute)}
+        assert not calls & messages, f"{path.name} unpacks bytes itself; use conversions.py ({readers})"
+
+
+@pytest.mark.parametrize("room", ["errors", "settings", "resources", "cli", *CORE])
+def test_the_core_loads_neither_ros_nor_transport(room):
+    code = (
+        f"import sys, octn_ros.{room}; "
+        "loaded = {'rclpy', 'zenoh', 'rosbags', 'octn_ros.nodes', 'octn_ros.embedded'} & set(sys.modules); "
+        "assert not loaded, loaded"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("room", ["volume", "metrics", "simulation.phantom", "cli"])
+def test_rooms_without_a_model_load_no_torch(room):
+    code = f"import sys, octn_ros.{room}; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_no_file_is_too_long_or_named_after_nothing():
+    for path in modules():
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= MAX_LINES, path
+        assert path.stem not in {"utils", "helpers", "common", "misc"}, path
+
+
+def test_one_version_everywhere():
+    xml = (REPOSITORY / "package.xml").read_text(encoding="utf-8")
+    assert f"<version>{octn_ros.__version__}</version>" in xml
+
+
+def test_every_message_package_is_declared():
+    declared = set(re.findall(r"<exec_depend>(\w+)</exec_depend>", (REPOSITORY / "package.xml").read_text()))
+    used = set()
+    for path in [*(PACKAGE / "nodes").rglob("*.py"), *(PACKAGE / "demo").rglob("*.py")]:
+        used |= {name.split(".")[0] for name in imports(path)}
+    used = {name for name in used if re.fullmatch(r"\w+_(msgs|srvs|interfaces)|rclpy", name)}
+    assert used
+    assert used <= declared
