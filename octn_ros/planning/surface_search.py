@@ -52,9 +52,9 @@ class SurfaceSearchConfig:
     """How the surface under a raster is found; lengths along the beam in axial voxels."""
 
     coarse: SurfaceMapConfig = dataclass_field(default_factory=lambda: SurfaceMapConfig(max_ascans=1024))
-    warmup_candidates: int = setting(13, "candidate depths around the coarse surface, N_warmup", low=2, high=1024)
+    warmup_candidates: int = setting(17, "candidate depths around the coarse surface, N_warmup", low=2, high=1024)
     neighbourhood_voxels: float = setting(
-        6.0, "how far from the coarse surface a waypoint may lie", unit="voxels", low=0.5, high=1000.0
+        8.0, "how far from the coarse surface a waypoint may lie", unit="voxels", low=0.5, high=1000.0
     )
     newton_steps: int = setting(8, "largest number of Newton steps before bisection", low=1, high=1000)
     min_gradient: float = setting(
