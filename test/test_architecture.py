@@ -57,13 +57,12 @@ def test_dependencies_point_one_way():
 
 
 def test_conversions_alone_turn_messages_into_arrays():
-    readers = [p.name for p in (PACKAGE / "nodes").glob("*.py") if "numpy" in imports(p) and "msg" in p.read_text()]
-    messages = {"frombuffer", "tobytes", "frombytes"}
     for path in (PACKAGE / "nodes").glob("*.py"):
         if path.name == "conversions.py":
             continue
-        calls = {n.attr for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Attribute)}
-        assert not calls & messages, f"{path.name} unpacks bytes itself; use conversions.py ({readers})"
+        used = {node.attr for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Attribute)}
+        packing = used & {"frombuffer", "tobytes", "frombytes"}
+        assert not packing, f"{path.name} packs or unpacks bytes itself ({packing}); that belongs in conversions.py"
 
 
 @pytest.mark.parametrize("room", ["errors", "settings", "resources", "cli", *CORE])
@@ -76,7 +75,7 @@ def test_the_core_loads_neither_ros_nor_transport(room):
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
-@pytest.mark.parametrize("room", ["volume", "metrics", "simulation.phantom", "cli"])
+@pytest.mark.parametrize("room", ["volume", "metrics", "cli"])
 def test_rooms_without_a_model_load_no_torch(room):
     code = f"import sys, octn_ros.{room}; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
