@@ -10,10 +10,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from octn_ros.errors import CalibrationError, ExecutionError
-from octn_ros.planning.transforms import invert, make_rigid
+from octn_ros.errors import ExecutionError
 from octn_ros.settings import check_settings, setting
 from octn_ros.simulation.laser_path import LaserPath
+from octn_ros.simulation.pose import checked_poses, inverse
 from octn_ros.simulation.trajectory import Trajectory
 
 ArmState = Literal["idle", "staged", "executing", "done", "aborted"]
@@ -70,11 +70,11 @@ class Arm:
         self.config = config
         self.ee_frame = ee_frame
         self.state: ArmState = "idle"
-        self.ee2base = _rigid("ee2base", ee2base)
+        self.ee2base = checked_poses("ee2base", ee2base)
         self.laser_on = False
         self.history: deque[ArmSample] = deque(maxlen=HISTORY_LENGTH)
-        self._ee2laser = invert(_rigid("laser2ee", laser2ee))
-        self._laser2ee = invert(self._ee2laser)
+        self._laser2ee = checked_poses("laser2ee", laser2ee)
+        self._ee2laser = inverse(self._laser2ee)
         self._path: LaserPath | None = None
         self._scan_ee2base = self.ee2base
         self._focus2base = np.zeros((0, 4, 4))
@@ -123,7 +123,7 @@ class Arm:
                 f"expected a plan of the present scan (stamp {scan_stamp_ns} ns), got one of another scan "
                 f"(stamp {path.stamp_ns} ns); plan again on the present scan"
             )
-        scan_pose = _rigid("scan_ee2base", scan_ee2base)
+        scan_pose = checked_poses("scan_ee2base", scan_ee2base)
         focus2base = scan_pose @ path.waypoints_ee
         distance_m = np.linalg.norm((focus2base @ self._ee2laser)[:, :3, 3], axis=1)
         farthest = int(np.argmax(distance_m))
@@ -225,10 +225,3 @@ class Arm:
             self.history.append(ArmSample(self._start_ns + round(self._elapsed_s * 1e9), self.ee2base, False))
         self._path = None
         self.state = state
-
-
-def _rigid(name: str, matrix: Any) -> NDArray[np.float64]:
-    try:
-        return make_rigid(matrix)[0]
-    except CalibrationError as error:
-        raise ExecutionError(f"{name}: {error}") from None

@@ -32,14 +32,14 @@ def test_an_empty_path_can_be_made():
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("waypoints_ee", np.zeros((4, 3, 4)), r"shape \[N, 4, 4\]"),
+        ("waypoints_ee", np.zeros((4, 3, 4)), r"waypoints: expected poses of shape \(4, 4, 4\)"),
         ("segment", np.zeros(3), "segment for 4 waypoints"),
         ("laser_on", np.zeros(5), "laser_on for 4 waypoints"),
-        ("speed_m_s", [0.01, 0.01, 0.0, 0.01], "speeds above 0 m/s, got 1 of 4 others, the first at waypoint 2"),
+        ("speed_m_s", [0.01, 0.01, 0.0, 0.01], "speeds above 0 m/s, got 0 at waypoint 2"),
         ("speed_m_s", [np.nan] * 4, "speeds above 0"),
-        ("waypoints_ee", np.tile(2 * np.eye(4), (4, 1, 1)), "rigid poses"),
-        ("waypoints_ee", np.tile(np.diag([1.0, 1, -1, 1]), (4, 1, 1)), "rigid poses"),
-        ("waypoints_ee", np.full((4, 4, 4), np.nan), "finite poses"),
+        ("waypoints_ee", np.tile(2 * np.eye(4), (4, 1, 1)), "rigid transforms .* 4 others of 4, the first at index 0"),
+        ("waypoints_ee", np.tile(np.diag([1.0, 1, -1, 1]), (4, 1, 1)), "rigid transforms"),
+        ("waypoints_ee", np.full((4, 4, 4), np.nan), "finite rigid"),
     ],
 )
 def test_malformed_paths_are_refused(name, value, message):
