@@ -248,4 +248,3 @@ def test_ten_thousand_waypoints_are_quick(arm):
     path = LaserPath(poses, np.zeros(count), np.ones(count), np.full(count, 0.1), SCAN_NS, "tool0")
     run(arm, path)
     assert arm.executed == count
-
