@@ -1,88 +1,142 @@
+"""The context: one session, shared by the nodes made in it."""
+
+from __future__ import annotations
+
 import atexit
 import os
 import sys
 import threading
 import weakref
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING
 
-from octn_ros.embedded import wire
+from octn_ros.embedded.absent import refuse_absent
+from octn_ros.embedded.arguments import Arguments
+from octn_ros.embedded.errors import RCLError
+from octn_ros.embedded.transport import Bus
 
-from .arguments import Arguments
-from .exceptions import NotInitializedException, RCLError
+from . import logging
+from .exceptions import NotInitializedException
+
+if TYPE_CHECKING:
+    from .executors import Executor
+
+__getattr__ = refuse_absent("rclpy.context")
 
 
 class Context:
-    def __init__(self):
-        self._ok, self._bus, self._executors, self._callbacks = False, None, weakref.WeakSet(), []
-        self._lock, self.arguments = threading.RLock(), Arguments()
+    """Initialized once and shut down once. All methods may be called from any thread."""
 
-    def init(self, args=None, *, initialize_logging=True, domain_id=None):
+    __getattr__ = refuse_absent("rclpy.context.Context")
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._bus: Bus | None = None
+        self._ok = False
+        self._domain_id = 0
+        self._arguments = Arguments()
+        self._executors: weakref.WeakSet[Executor] = weakref.WeakSet()
+        self._on_shutdown: list[Callable[[], None]] = []
+
+    def init(
+        self, args: list[str] | None = None, *, initialize_logging: bool = True, domain_id: int | None = None
+    ) -> None:
+        """Read the arguments (None: `sys.argv`) and open the session.
+
+        Raises:
+            RuntimeError: the context was initialized before.
+            RCLError: the arguments cannot be parsed.
+        """
         with self._lock:
-            if self._ok:
-                raise RuntimeError('Context.init() must only be called once')
-            self.arguments = Arguments(sys.argv if args is None else args)
-            self._domain_id = int(os.environ.get('ROS_DOMAIN_ID') or 0) if domain_id is None else domain_id
             if self._bus is not None:
-                self._bus.close()
-            self._bus, self._ok = wire.Bus(self._domain_id), True
-            from . import logging
-            for level in self.arguments.log_levels:
-                name, _, value = level.rpartition(':=')
-                logging.set_logger_level(name, value)
-            atexit.register(self._close)
+                raise RuntimeError("Context.init() must only be called once")
+            self._arguments = Arguments(sys.argv if args is None else args)
+            self._domain_id = int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
+            if initialize_logging:
+                for level in self._arguments.log_levels:
+                    name, _, severity = level.rpartition(":=")
+                    logging.set_logger_level(name, logging.get_logging_severity_from_string(severity))
+            self._bus = Bus(self._domain_id)
+            self._ok = True
+            _running.add(self)
+            atexit.register(self._bus.close)
 
-    @property
-    def bus(self):
-        if self._bus is None:
-            raise NotInitializedException('context is not initialized')
+    def _open_bus(self) -> Bus:
+        if self._bus is None or not self._ok:
+            raise NotInitializedException("cannot create node: the context is not initialized, or is shut down")
         return self._bus
 
-    def ok(self):
+    def ok(self) -> bool:
+        """Return whether the context is initialized and neither shut down nor ended by a signal."""
         return self._ok
 
-    def get_domain_id(self):
+    def get_domain_id(self) -> int:
+        """Return the domain id; raise NotInitializedException before `init`."""
+        if self._bus is None:
+            raise NotInitializedException
         return self._domain_id
 
-    def _stop(self):
-        """What a signal does: no more callbacks, though entities live until destroyed."""
+    def _stop(self) -> None:
+        """Let executors end; all that a signal handler may do, as it sets flags and wakes queues only."""
         self._ok = False
         for executor in list(self._executors):
             executor.wake()
 
-    def shutdown(self):
+    def shutdown(self) -> None:
+        """End the context and close its session; raise RuntimeError if it is not running."""
+        if self._bus is None:
+            raise RuntimeError("Context must be initialized before it can be shutdown")
         if not self._ok:
-            raise RCLError('failed to shutdown: rcl_shutdown already called on the given context')
-        self._stop()
-        self._finish()
+            raise RCLError("failed to shutdown: rcl_shutdown already called on the given context")
+        self.try_shutdown()
 
-    def try_shutdown(self):
-        self._stop()
-        self._finish()
-
-    def _finish(self):
-        callbacks, self._callbacks = self._callbacks, []
+    def try_shutdown(self) -> None:
+        """End the context, if it is running, and close its session."""
+        with self._lock:
+            self._stop()
+            callbacks, self._on_shutdown = self._on_shutdown, []
+            bus = self._bus
         for callback in callbacks:
             callback()
-        self._close()
-
-    def _close(self):
-        with self._lock:
-            bus, self._bus = self._bus, None
-        if bus is not None:
+        if bus is not None and not bus.closed:
             bus.close()
-            atexit.unregister(self._close)
+            atexit.unregister(bus.close)
 
-    def on_shutdown(self, callback):
-        self._callbacks.append(callback)
+    def on_shutdown(self, callback: Callable[[], None]) -> None:
+        """Call `callback` when the context is shut down by `shutdown` or `try_shutdown`."""
+        if not callable(callback):
+            raise TypeError(f"callback should be a callable, got {callback!r}")
+        self._on_shutdown.append(callback)
 
-    def __enter__(self):
+    def __enter__(self) -> Context:
+        self.init()
         return self
 
-    def __exit__(self, *exc):
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_val: BaseException | None,
+        exc_tb: TracebackType | None,
+    ) -> None:
         self.try_shutdown()
 
 
-_default = Context()
+_running: weakref.WeakSet[Context] = weakref.WeakSet()
+_default: Context | None = None
+_default_lock = threading.Lock()
 
 
-def get_default_context(*, shutting_down=False):
-    return _default
+def stop_all() -> None:
+    """Let all contexts end; may be called in a signal handler."""
+    for context in list(_running):
+        context._stop()
+
+
+def get_default_context(*, shutting_down: bool = False) -> Context:
+    """Return the default context; the next call makes a new one if this one is `shutting_down`."""
+    global _default
+    with _default_lock:
+        context = _default or Context()
+        _default = None if shutting_down else context
+        return context

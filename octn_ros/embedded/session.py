@@ -1,0 +1,96 @@
+"""The Zenoh session of a process: how processes on one machine find each other without a router or multicast."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import sys
+from typing import Any
+
+import zenoh
+
+RENDEZVOUS_PORT = 17447  # plus the domain id; on loopback
+ROUTER_PORT = 7447  # where rmw_zenohd listens, if there is one
+LARGEST_KEPT_BLOCK = 1 << 30
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
+
+
+def session_config(domain_id: int) -> dict[str, Any]:
+    """Return the configuration of a peer as rmw_zenoh_cpp's that also finds its peers without a router.
+
+    One process listens at the rendezvous port, the others connect to it and learn of each other by gossip. All try to
+    listen again and again, so another takes the port over when its holder ends. Everything stays on loopback: any user
+    of the machine can join, nobody else.
+
+    The environment variable OCTN_RENDEZVOUS_PORT sets the port, which is 17447 plus the domain id.
+    """
+    port = int(os.environ.get("OCTN_RENDEZVOUS_PORT", RENDEZVOUS_PORT + domain_id))
+    retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+    return {
+        "mode": "peer",
+        "connect": {
+            "endpoints": [f"tcp/127.0.0.1:{port}", f"tcp/127.0.0.1:{ROUTER_PORT}"],
+            "timeout_ms": -1,  # with 0 it would try once and never find a router or holder that starts later
+            "exit_on_failure": False,
+            "retry": {**retry, "period_max_ms": 2000},
+        },
+        "listen": {
+            "endpoints": [f"tcp/127.0.0.1:{port}#exit_on_failure=false", "tcp/127.0.0.1:0"],
+            "timeout_ms": 0,
+            "exit_on_failure": True,
+            "retry": retry,
+        },
+        "scouting": {
+            "delay": 100,
+            "multicast": {"enabled": False},
+            "gossip": {
+                "enabled": True,
+                "target": {"router": ["router", "peer"], "peer": ["router", "peer"]},
+                "autoconnect": {"router": [], "peer": ["router", "peer"]},
+                "autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
+            },
+        },
+        "timestamping": {"enabled": True},  # the cache behind latched topics needs it
+        "transport": {
+            "link": {  # Zenoh's defaults lose or slow down messages of many MB
+                "tx": {
+                    "queue": {
+                        "size": {"data": 16},
+                        "congestion_control": {
+                            "drop": {"wait_before_drop": 100_000, "max_wait_before_drop_fragments": 5_000_000},
+                            "block": {"wait_before_close": 60_000_000},
+                        },
+                    }
+                },
+                "rx": {"buffer_size": 1 << 20},
+            }
+        },
+    }
+
+
+def open_session(domain_id: int) -> zenoh.Session:
+    """Open the session of a context.
+
+    Also sets malloc thresholds for the whole process: see `_keep_large_blocks`. A process must not fork afterwards
+    (use the spawn method of multiprocessing).
+
+    Raises:
+        zenoh.ZError: no socket on loopback can be had.
+    """
+    _keep_large_blocks()
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(session_config(domain_id))))
+
+
+def _keep_large_blocks() -> None:
+    """Keep freed blocks of up to 1 GiB in the heap of this process, where the C library is glibc.
+
+    By default glibc maps, faults in and unmaps memory for every large message, which takes six times as long as
+    copying it. The price is that a process keeps the memory of its largest messages. It holds for all code in the
+    process, not only for ours.
+    """
+    if sys.platform == "linux":
+        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
+        if mallopt is not None:
+            mallopt(M_MMAP_THRESHOLD, LARGEST_KEPT_BLOCK)
+            mallopt(M_TRIM_THRESHOLD, LARGEST_KEPT_BLOCK)
