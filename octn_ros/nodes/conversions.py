@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from array import array
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from octn_ros.errors import CheckpointError, ExecutionError, VolumeError
-from octn_ros.planning.transforms import from_translation_quaternion, quaternions_xyzw
+from octn_ros.planning import from_translation_quaternion, quaternions_xyzw
 from octn_ros.volume import VolumeGeometry
 
 FIELD_FORMAT = "octn-field/safetensors"
@@ -34,7 +35,11 @@ TOOL_PATH = np.dtype(
     ]
 )
 
-_ENCODINGS = {"mono8": np.dtype(np.uint8), "mono16": np.dtype(np.uint16), "32FC1": np.dtype(np.float32)}
+_ENCODINGS: dict[str, np.dtype[Any]] = {
+    "mono8": np.dtype(np.uint8),
+    "mono16": np.dtype(np.uint16),
+    "32FC1": np.dtype(np.float32),
+}
 _POINT_FIELDS = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32, "|u1": PointField.UINT8}
 
 
@@ -43,6 +48,11 @@ def to_bytes_field(data: bytes | memoryview) -> array[int]:
     field = array("B")
     field.frombytes(data)
     return field
+
+
+def shortest_decimal(value: float) -> float:
+    """Return what the caller wrote into a float32 field: 5e-05, not 4.999999873689376e-05."""
+    return float(str(np.float32(value)))
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -76,15 +86,15 @@ def to_pose_array(poses: NDArray[np.float64], stamp_ns: int, frame: str) -> Pose
     return PoseArray(header=header(stamp_ns, frame), poses=_poses(poses))
 
 
-def pose_array_to_matrices(message: PoseArray) -> NDArray[np.float64]:
-    """Return the poses of a message as transforms [N, 4, 4].
+def poses_to_matrices(poses: Sequence[Pose]) -> NDArray[np.float64]:
+    """Return the poses of a PoseArray as transforms [N, 4, 4].
 
     Raises:
         ExecutionError: a coordinate is not finite, or a quaternion not of unit length within 1e-3.
     """
     rows = [
         (p.position.x, p.position.y, p.position.z, p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w)
-        for p in message.poses
+        for p in poses
     ]
     numbers = np.array(rows, dtype=np.float64).reshape(-1, 7)
     # NaN fails this comparison too.
@@ -95,11 +105,11 @@ def pose_array_to_matrices(message: PoseArray) -> NDArray[np.float64]:
             f"expected finite poses with unit quaternions, got {np.count_nonzero(~good)} of {len(good)} others, "
             f"the first at {first}: {numbers[first].tolist()}"
         )
-    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
-    poses[:, :3, 3] = numbers[:, :3]
+    matrices = np.tile(np.eye(4), (len(numbers), 1, 1))
+    matrices[:, :3, 3] = numbers[:, :3]
     if len(numbers):
-        poses[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()
-    return poses
+        matrices[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()
+    return matrices
 
 
 def to_path(poses: NDArray[np.float64], stamp_ns: int, frame: str) -> Path:
@@ -157,8 +167,8 @@ def image_to_array(message: Image) -> NDArray[Any]:
             f"{width * dtype.itemsize} bytes, got step {step} and {len(message.data)} bytes in all"
         )
     rows = np.frombuffer(message.data, np.uint8).reshape(height, step)[:, : width * dtype.itemsize]
-    order = ">" if message.is_bigendian else "<"
-    return np.ascontiguousarray(rows).view(dtype.newbyteorder(order)).astype(dtype)
+    sent = dtype.newbyteorder(">" if message.is_bigendian else "<")
+    return np.ascontiguousarray(rows).view(sent).astype(dtype)
 
 
 def to_grid(enface: NDArray[np.float32], geometry: VolumeGeometry, stamp_ns: int) -> OccupancyGrid:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from octn_ros.errors import PlanError
 from octn_ros.nodes.conversions import pose_to_matrix
-from octn_ros.planning.calibration import Calibration
-from octn_ros.planning.transforms import invert
+from octn_ros.planning import Calibration, invert
 
 
 @dataclass(frozen=True)

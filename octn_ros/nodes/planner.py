@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,8 +23,7 @@ from octn_ros.nodes.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters
-from octn_ros.planning.calibration import load_calibration
-from octn_ros.planning.plan import Plan, PlannerConfig, plan_raster, plan_to_plain
+from octn_ros.planning import Plan, PlannerConfig, load_calibration, plan_raster
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
 
@@ -75,12 +75,15 @@ class Planner(Node):
     # --- fields and poses
 
     def _on_field(self, received: ReceivedField) -> None:
+        of_field = {"state": "ready", "stamp_ns": received.stamp_ns, "field_hash": received.hash}
         if self._plan_stands:
             self._withdraw(received)
-        self.get_logger().info(f"field {received.hash} of the scan at {received.stamp_ns} ns received")
+            self._status.report(status.WARN, "a new field has come; the plan of the last one is withdrawn", of_field)
+        else:
+            self._status.report(status.OK, "a field has come; ready to plan", of_field)
 
     def _on_bad_field(self, reason: str) -> None:
-        self._status.report(status.ERROR, f"field refused, the last one is kept: {reason}")
+        self._status.report(status.ERROR, f"field refused, the last one is kept: {reason}", {"state": "refused"})
 
     def _on_scan_ee_pose(self, message: PoseStamped) -> None:
         base = self._calibration.base_frame
@@ -102,10 +105,11 @@ class Planner(Node):
         try:
             received, ee2base, plan = self._make_plan(request)
         except OctnError as error:
-            self._status.report(status.ERROR, f"plan_raster refused: {error}")
+            self._status.report(status.ERROR, f"plan_raster refused: {error}", {"state": "refused"})
             return response
         except Exception as error:  # a fault of ours, or memory that ran out: the node and its callers live on
-            self._status.report(status.ERROR, f"plan_raster failed: {type(error).__name__}: {error}")
+            reason = f"plan_raster failed: {type(error).__name__}: {error}"
+            self._status.report(status.ERROR, reason, {"state": "failed"})
             return response
         self._publish(received, plan, ee2base)
         response.plan = conversions.to_path(plan.waypoints_ee, received.stamp_ns, self._calibration.ee_frame)
@@ -115,15 +119,11 @@ class Planner(Node):
         received = self._fields.current
         if received is None:
             raise PlanError("expected a fitted field, got none yet; scan or load a C-scan and wait for its fit")
-        # A float32 carries seven digits: its shortest decimal is what the caller wrote.
-        line_spacing_m = float(str(np.float32(request.tolerance)))
-        if not (math.isfinite(line_spacing_m) and line_spacing_m >= 0.0):
-            raise PlanError(f"expected a line spacing (tolerance) of 0 or more metres, got {line_spacing_m}")
         config = self._planner_config.config()
-        if line_spacing_m > 0.0:
-            config = dataclasses.replace(
-                config, raster=dataclasses.replace(config.raster, line_spacing_m=line_spacing_m)
-            )
+        line_spacing_m = conversions.shortest_decimal(request.tolerance)
+        if line_spacing_m != 0.0:
+            raster = dataclasses.replace(config.raster, line_spacing_m=line_spacing_m)
+            config = dataclasses.replace(config, raster=raster)
         ee2base = self._scan_poses.get(received.stamp_ns)
         frames = ScanFrames(self._calibration, ee2base)
         start, goal = frames.to_oct(request.start), frames.to_oct(request.goal)
@@ -145,16 +145,13 @@ class Planner(Node):
         base = np.empty((0, 4, 4)) if ee2base is None else ee2base @ plan.waypoints_ee
         self._send(received, rows, plan.waypoints_ee, plan.waypoints_oct, base)
         self._plan_stands = True
-        figures = plan_to_plain(plan)
-        self._status.report(status.OK, f"{len(rows)} waypoints", figures)
+        text = f"{len(rows)} waypoints in {plan.seconds['total']:.2f} s, hit rate {plan.hit_rate:.1%}"
+        self._status.report(status.OK, text, _figures(plan))
 
     def _withdraw(self, received: ReceivedField) -> None:
         nothing = np.empty((0, 4, 4))
         self._send(received, np.empty(0, conversions.TOOL_PATH), nothing, nothing, nothing)
         self._plan_stands = False
-        self._status.report(
-            status.WARN, "a new field has come, the plan of the last one is withdrawn", {"field_hash": received.hash}
-        )
 
     def _send(
         self,
@@ -170,6 +167,27 @@ class Planner(Node):
         if len(base) or self._plan_stands:  # without a pose there is nothing to say, except that the old ones are over
             self._waypoints_base.publish(conversions.to_pose_array(base, stamp_ns, calibration.base_frame))
         self._waypoints.publish(conversions.to_pose_array(ee, stamp_ns, calibration.ee_frame))
+
+
+def _figures(plan: Plan) -> dict[str, Any]:
+    return {
+        "state": "planned",
+        "stamp_ns": plan.stamp_ns,
+        "field_kind": plan.field_kind,
+        "field_hash": plan.field_hash,
+        "method": plan.method,
+        "tau": plan.tau,
+        "hit_rate": plan.hit_rate,
+        "smoothness_mm2": plan.smoothness_mm2,
+        "waypoints": len(plan.waypoints_ee),
+        "segments": int(plan.segment[-1]) + 1,
+        "requested": plan.requested,
+        "given_up": plan.given_up,
+        "given_up_because": dict(Counter(point.reason for point in plan.given_up_points)),
+        "residual_rms": float(np.sqrt(np.mean(np.square(plan.residual)))),
+        "seconds": plan.seconds,
+        "config": plan.config,
+    }
 
 
 def main(args: list[str] | None = None) -> int:

@@ -18,8 +18,7 @@ from std_srvs.srv import Trigger
 from octn_ros.errors import OctnError
 from octn_ros.nodes import conversions, process, qos, status
 from octn_ros.nodes.parameters import ConfigParameters
-from octn_ros.planning.calibration import load_calibration
-from octn_ros.planning.transforms import from_translation_quaternion
+from octn_ros.planning import from_translation_quaternion, load_calibration
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
 from octn_ros.simulation import Arm, ArmConfig, BScan, LaserPath, PhantomConfig, Scanner, make_phantom
@@ -74,7 +73,7 @@ class Simulator(Node):
         volume = _tissue(config, phantom)
         self._scanner = Scanner(volume)
         pose = from_translation_quaternion(config.arm_position_m, config.arm_orientation)
-        self._lock = threading.Lock()  # over the arm and what is known of its plan
+        self._lock = threading.RLock()  # over the arm, what is known of its plan, and the order of the reports
         self._arm = Arm(arm, self._calibration.laser2ee, pose, self._calibration.ee_frame)
         self._scan_stamp_ns, self._scan_pose = 0, pose
         self._unsent: deque[BScan] = deque()
@@ -155,7 +154,7 @@ class Simulator(Node):
             return
         stamp_ns = conversions.stamp_to_ns(waypoints.header.stamp)
         try:
-            poses, rows = conversions.pose_array_to_matrices(waypoints), conversions.cloud_to_tool_path(tool_path)
+            poses, rows = conversions.poses_to_matrices(waypoints.poses), conversions.cloud_to_tool_path(tool_path)
             places = np.stack([rows["x"], rows["y"], rows["z"]], axis=-1)
             if len(rows) != len(poses) or np.any(np.abs(places - poses[:, :3, 3]) > SAME_PLACE_M):
                 return  # one of the two belongs to another plan; its partner is still to come
@@ -193,33 +192,32 @@ class Simulator(Node):
 
     def _execute(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         now_ns = self.get_clock().now().nanoseconds
-        try:
-            with self._lock:
-                state = self._arm.state
+        with self._lock:
+            try:
                 self._arm.execute(now_ns)
-                self._stepped_ns = self._reported_ns = now_ns
-                count = self._arm.progress[1]
-        except OctnError as error:
-            why = f"; {self._no_plan}" if state == "idle" else ""
-            response.message = f"execute refused: {error}{why}"
-            self._report(status.ERROR, response.message)
-            return response
-        response.success = True
-        response.message = f"executing {count} waypoints"
-        self._report(status.OK, response.message)
+            except OctnError as error:
+                why = "" if self._arm.state in ("staged", "executing") else f"; {self._no_plan}"
+                response.message = f"execute refused: {error}{why}"
+                self._report(status.ERROR, response.message)
+                return response
+            self._stepped_ns = self._reported_ns = now_ns
+            response.success = True
+            response.message = f"executing {self._arm.progress[1]} waypoints"
+            self._report(status.OK, response.message)
         return response
 
     def _abort(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             state = self._arm.state
             self._arm.abort()
-            shots = self._arm.executed
-        response.success = True
-        response.message = {
-            "executing": f"aborted after {shots} shots",
-            "staged": "the staged plan is dropped; nothing was executing",
-        }.get(state, "nothing was executing")
-        self._report(status.WARN, response.message)
+            if state in ("staged", "executing"):
+                self._no_plan = "the last one was aborted"
+            response.success = True
+            response.message = {
+                "executing": f"aborted after {self._arm.executed} shots",
+                "staged": "the staged plan is dropped; nothing was executing",
+            }.get(state, "nothing was executing")
+            self._report(status.WARN, response.message)
         return response
 
     def _step(self) -> None:
@@ -230,11 +228,12 @@ class Simulator(Node):
                 return
             self._arm.step(max(now_ns - self._stepped_ns, 0) * 1e-9 * factor)
             self._stepped_ns = now_ns
-            done, shots = self._arm.state == "done", self._arm.executed
-            if not done and now_ns - self._reported_ns < STATUS_PERIOD_NS:
-                return
-            self._reported_ns = now_ns
-        self._report(status.OK, f"done: {shots} shots" if done else "executing", log=done)
+            if self._arm.state == "done":
+                self._no_plan = "the last one has been executed"
+                self._report(status.OK, f"done: {self._arm.executed} shots")
+            elif now_ns - self._reported_ns >= STATUS_PERIOD_NS:
+                self._reported_ns = now_ns
+                self._report(status.OK, "executing", log=False)
 
     def _publish_ee_pose(self) -> None:
         with self._lock:
@@ -253,7 +252,7 @@ class Simulator(Node):
                 "shots": self._arm.executed,
                 "laser_on": self._arm.laser_on,
             }
-        self._status.report(level, message, values, log=log)
+            self._status.report(level, message, values, log=log)
 
 
 def _tissue(config: SimulatorConfig, phantom: PhantomConfig) -> Volume:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from urllib.parse import unquote, urlparse
 
 import numpy as np
@@ -31,7 +31,7 @@ from octn_ros.nodes.worker import Worker
 from octn_ros.query import enface
 from octn_ros.settings import check_settings, setting
 from octn_ros.training import PRESETS, FitProgress, fit
-from octn_ros.volume import OCT_FRAME, Volume, load_volume
+from octn_ros.volume import OCT_FRAME, IntensityScale, Volume, load_volume
 from octn_ros.volume.assembly import CScanAssembler
 
 EXIT_WAIT_S = 1.5  # a cancelled fit ends after its present step; longer than that nobody waits for it
@@ -152,7 +152,8 @@ class Trainer(Node):
                 "expected the parameters bscan_count and spacing_um (bscan, axial, lateral) to state what the scanner "
                 f"sends, got bscan_count {config.bscan_count} and spacing_um {config.spacing_um}; set both"
             )
-        described = (config.bscan_count, config.spacing_m, config.intensity_scale)
+        scale = cast(IntensityScale, config.intensity_scale)  # one of them, as its choices say
+        described = (config.bscan_count, config.spacing_m, scale)
         if self._assembler is None or described != self._assembled_with:
             self._assembler, self._assembled_with = CScanAssembler(*described), described
         if pose.header.frame_id != OCT_FRAME:

@@ -1,0 +1,145 @@
+"""A client of the graph: calls services and waits for messages, from plain sequential code."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from octn_ros.nodes import qos
+
+Message = TypeVar("Message")
+
+_GRAPH_PERIOD_S = 0.02  # rclpy tells nobody when the graph changes, so it is looked at
+
+
+class Watch(Generic[Message]):
+    """Everything that was heard on one topic since it is watched; safe from any thread."""
+
+    def __init__(self, topic: str, publishers: Callable[[], int]) -> None:
+        self._topic, self._publishers = topic, publishers
+        self._messages: list[Message] = []
+        self._condition = threading.Condition()
+
+    @property
+    def messages(self) -> list[Message]:
+        """The messages so far, oldest first."""
+        with self._condition:
+            return list(self._messages)
+
+    def add(self, message: Message) -> None:
+        """Take a message; the subscription's callback."""
+        with self._condition:
+            self._messages.append(message)
+            self._condition.notify_all()
+
+    def wait(self, timeout_s: float, accept: Callable[[Message], bool] = lambda message: True) -> Message:
+        """Return the first message, heard already or still to come, that `accept` says yes to.
+
+        Raises:
+            TimeoutError: names the topic and how many other messages came.
+        """
+        deadline = time.monotonic() + timeout_s
+        seen = 0
+        with self._condition:
+            while True:
+                for message in self._messages[seen:]:
+                    if accept(message):
+                        return message
+                seen = len(self._messages)
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    raise TimeoutError(f"{self._topic}: {timeout_s:g} s passed, {seen} messages came, none as awaited")
+                self._condition.wait(left)
+
+    def wait_matched(self, timeout_s: float) -> None:
+        """Return once a publisher of the topic is connected.
+
+        Raises:
+            TimeoutError: names the topic.
+        """
+        _wait_graph(lambda: self._publishers() > 0, timeout_s, f"{self._topic}: no publisher")
+
+
+class GraphClient:
+    """A node that spins in a thread of its own, so that the caller's code can wait; a context manager.
+
+    rclpy must be initialised. Methods may be called from any thread but the client's own.
+
+    Args:
+        name: the node's name.
+        namespace: where relative names of services and topics are looked for.
+    """
+
+    def __init__(self, name: str = "client", namespace: str = "octn") -> None:
+        self.node = Node(name, namespace=namespace)
+        self._clients: dict[str, Any] = {}
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> GraphClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._thread.join()
+        self.node.destroy_node()
+
+    def call(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
+        """Call a service, waiting for it to be there, and return its response.
+
+        Args:
+            kind: the service's type.
+            name: its name, relative to the namespace.
+            request: the request, `kind.Request(...)`.
+            timeout_s: for the service to appear, and again for its answer.
+
+        Raises:
+            TimeoutError: names the service and what did not happen.
+        """
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        client = self._clients[name]
+        if not client.wait_for_service(timeout_s):
+            raise TimeoutError(f"service {name}: not there after {timeout_s:g} s; is its node running?")
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda done: answered.set())
+        if not answered.wait(timeout_s):
+            raise TimeoutError(f"service {name}: no answer after {timeout_s:g} s")
+        return future.result()
+
+    def watch(self, kind: Any, topic: str, profile: QoSProfile = qos.LATCHED) -> Watch[Any]:
+        """Collect what is heard on a topic from now on, and its latched message if it has one."""
+        subscription: list[Any] = []
+        watch: Watch[Any] = Watch(topic, lambda: subscription[0].get_publisher_count())
+        subscription.append(self.node.create_subscription(kind, topic, watch.add, profile))
+        return watch
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+
+def _wait_graph(happened: Callable[[], bool], timeout_s: float, otherwise: str) -> None:
+    deadline = time.monotonic() + timeout_s
+    pause = threading.Event()
+    while not happened():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{otherwise} after {timeout_s:g} s")
+        pause.wait(_GRAPH_PERIOD_S)

@@ -1,0 +1,140 @@
+"""Each node in a process of its own, as `ros2 run` and `octn run` start them."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from nav_msgs.srv import GetPlan, LoadMap
+from std_srvs.srv import Trigger
+
+from octn_ros.nodes import qos, status
+from octn_ros.simulation import PhantomConfig, make_phantom
+from octn_ros.volume import save_volume
+
+START_TIMEOUT_S = 60.0
+FIT_TIMEOUT_S = 60.0
+ANSWER_TIMEOUT_S = 30.0
+EXIT_TIMEOUT_S = 5.0  # 2 s are promised of a machine that does nothing else
+
+SHAPE = (24, 64, 64)
+SMALL_FIT = ("fit.steps:=150", "fit.batch:=4096", "fit.time_budget_s:=0.0", "fit.field.grid.log2_table_size:=15")
+PARAMETERS = {
+    "trainer": (f"bscan_count:={SHAPE[0]}", "spacing_um:=[28.0, 14.59, 14.0]", "device:=cpu", *SMALL_FIT),
+    "query": ("device:=cpu",),
+    "planner": ("device:=cpu",),
+    "simulator": (f"phantom.shape:={list(SHAPE)}", "phantom.surface:=tilted", "time_factor:=50.0"),
+}
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Start a node's process; none outlives the test."""
+    processes = []
+
+    def run(node: str, *arguments: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"octn_ros.nodes.{node}", *arguments]
+        processes.append(subprocess.Popen(command))
+        return processes[-1]
+
+    yield run
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+def parameters(*assignments: str) -> list[str]:
+    return ["--ros-args", *(part for assignment in assignments for part in ("-p", assignment))]
+
+
+def end(process: subprocess.Popen[bytes], signal_number: int = signal.SIGINT) -> None:
+    process.send_signal(signal_number)
+    began = time.monotonic()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(EXIT_TIMEOUT_S)
+    assert process.returncode == 0, f"exit code {process.returncode} after {time.monotonic() - began:.1f} s"
+
+
+def values(message: Any) -> dict[str, str]:
+    return status.read(message)[2]
+
+
+def test_four_processes_from_scan_to_executed_shots(start: Callable[..., Any], client: Any) -> None:
+    processes = [start(node, *parameters(*assignments)) for node, assignments in PARAMETERS.items()]
+    plan_status = client.watch(DiagnosticArray, "plan_status")
+    execution = client.watch(DiagnosticArray, "execution_status")
+    execution.wait(START_TIMEOUT_S)
+    client.watch(DiagnosticArray, "fit_progress", qos.STREAM).wait_matched(START_TIMEOUT_S)
+    # The simulator refuses to scan until it has met the trainer.
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while not client.call(Trigger, "scan", Trigger.Request(), START_TIMEOUT_S).success:
+        assert time.monotonic() < deadline
+    plan_status.wait(FIT_TIMEOUT_S, lambda message: values(message)["state"] == "ready")
+
+    request = GetPlan.Request(tolerance=5e-5)
+    request.start.header.frame_id = request.goal.header.frame_id = "oct_optical_frame"
+    request.start.pose.position.x, request.start.pose.position.y = 2e-4, 1.5e-4
+    request.goal.pose.position.x, request.goal.pose.position.y = 6e-4, 5e-4
+    path = client.call(GetPlan, "plan_raster", request, ANSWER_TIMEOUT_S).plan
+    assert path.poses
+    # A late joiner gets what is latched.
+    waypoints = client.watch(PoseArray, "waypoints").wait(ANSWER_TIMEOUT_S)
+    assert [pose.pose for pose in path.poses] == list(waypoints.poses)
+
+    execution.wait(ANSWER_TIMEOUT_S, lambda message: values(message)["state"] == "staged")
+    answer = client.call(Trigger, "execute", Trigger.Request(), ANSWER_TIMEOUT_S)
+    assert answer.success, answer.message
+    done = execution.wait(ANSWER_TIMEOUT_S, lambda message: values(message)["state"] == "done")
+    assert int(values(done)["shots"]) == len(path.poses)
+    for process in processes:
+        end(process)
+
+
+def test_an_interrupt_ends_the_trainer_during_a_fit(start: Callable[..., Any], client: Any, tmp_path: Path) -> None:
+    save_volume(tmp_path / "scan.nii.gz", make_phantom(PhantomConfig(shape=SHAPE)).volume)
+    trainer = start("trainer", *parameters("fit.steps:=10000000", "fit.time_budget_s:=0.0", "device:=cpu"))
+    progress = client.watch(DiagnosticArray, "fit_progress", qos.STREAM)
+    request = LoadMap.Request(map_url=(tmp_path / "scan.nii.gz").as_uri())
+    answer = client.call(LoadMap, "load_cscan", request, START_TIMEOUT_S)
+    assert answer.result == LoadMap.Response.RESULT_SUCCESS
+    progress.wait(FIT_TIMEOUT_S, lambda message: "loss" in values(message))
+    end(trainer)
+
+
+def test_a_terminated_node_ends_in_order(start: Callable[..., Any], client: Any) -> None:
+    simulator = start("simulator", *parameters(*PARAMETERS["simulator"]))
+    client.watch(DiagnosticArray, "execution_status").wait(START_TIMEOUT_S)
+    end(simulator, signal.SIGTERM)
+
+
+@pytest.mark.parametrize(
+    ("node", "assignment", "reason"),
+    [
+        ("planner", "calibration:=/nowhere/calibration.yaml", "/nowhere/calibration.yaml"),
+        ("planner", "device:=abacus", "abacus"),
+        ("simulator", "volume_file:=/nowhere/scan.nii", "no such file"),
+        ("trainer", "fit.alpha:=1.5", "fit.alpha"),
+    ],
+)
+def test_a_parameter_that_cannot_be_ends_with_code_2_and_one_line(node: str, assignment: str, reason: str) -> None:
+    command = [sys.executable, "-m", f"octn_ros.nodes.{node}", *parameters(assignment)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=START_TIMEOUT_S, check=False)
+    assert ended.returncode == 2, ended.stderr
+    assert reason in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_the_namespace_can_be_changed(start: Callable[..., Any], client: Any) -> None:
+    start("simulator", *parameters(*PARAMETERS["simulator"]), "-r", "__ns:=/theatre_2")
+    client.watch(DiagnosticArray, "/theatre_2/execution_status").wait(START_TIMEOUT_S)
+    assert client.call(Trigger, "/theatre_2/abort", Trigger.Request(), ANSWER_TIMEOUT_S).success
