@@ -26,23 +26,23 @@ class WaypointConfig:
         low=-0.01, high=0.01,
     )  # fmt: skip
     normal_radius_voxels: float = setting(
-        3.0, "reach of the gradients that are averaged to a normal", unit="voxels", low=0.0, high=20.0
+        2.0, "lateral reach of the gradients that are averaged to a normal", unit="voxels", low=0.0, high=20.0
     )
 
     def __post_init__(self) -> None:
         check_settings(self)
 
 
-def inward_normals(field: Field, points_m: NDArray[np.floating], radius_voxels: float = 3.0) -> NDArray[np.float64]:
+def inward_normals(field: Field, points_m: NDArray[np.floating], radius_voxels: float = 2.0) -> NDArray[np.float64]:
     """Return unit normals of the level set that point into the tissue, from the field's exact gradients.
 
-    A gradient of the field sees single grains of speckle, so it is averaged over 27 places around the point. Not
+    A gradient of the field sees single grains of speckle, so it is averaged over 9 places across the beam. Not
     differentiable; thread-safe; any device.
 
     Args:
         field: the field that is asked.
         points_m: surface points (x, y, z) [N, 3] in the OCT frame, in metres.
-        radius_voxels: reach of the 27 places along each axis, 0 for the gradient at the point alone.
+        radius_voxels: reach of the 9 places along the lateral and B-scan axes, 0 for the gradient at the point alone.
 
     Returns:
         Normals [N, 3] in the OCT frame with z > 0; along the beam where the field is flat or falls along it.
@@ -51,8 +51,8 @@ def inward_normals(field: Field, points_m: NDArray[np.floating], radius_voxels: 
     index = geometry.metric_to_voxel(np.asarray(points_m, dtype=np.float64))
     total = torch.zeros(len(index), 3, device=field.device)
     steps = (-radius_voxels, 0.0, radius_voxels) if radius_voxels > 0 else (0.0,)
-    for offset in itertools.product(steps, repeat=3):
-        places = geometry.voxel_to_canonical(index + np.array(offset)).clip(-1.0, 1.0)
+    for bscan, lateral in itertools.product(steps, repeat=2):
+        places = geometry.voxel_to_canonical(index + np.array([bscan, 0.0, lateral])).clip(-1.0, 1.0)
         total += field.value_and_gradient(torch.from_numpy(places.astype(np.float32)).to(field.device))[1]
     lateral_m, axial_m, bscan_m = geometry.metres_per_canonical
     by_lateral, by_axial, by_bscan = total.cpu().numpy().astype(np.float64).T

@@ -16,6 +16,8 @@ from octn_ros.settings import check_settings, setting
 
 # A rise of the displayed intensity below this per voxel is rounding, not a surface.
 _SMALLEST_RISE = 1e-6
+# A rise near the neighbours' depth counts as the surface from this share of the scan's usual one.
+_WEAKEST_EDGE = 0.25
 
 
 @dataclass(frozen=True)
@@ -182,10 +184,7 @@ def _largest_rise(
     best = np.argmax(rise, axis=-1)
     depth = np.arange(rise.shape[-1])
     if config.consensus_ascans > 1:
-        agreed = ndimage.median_filter(best, size=config.consensus_ascans, mode="nearest")
-        rows, columns = np.nonzero(np.abs(best - agreed) > config.consensus_voxels)
-        near = np.abs(depth - agreed[rows, columns, None]) <= config.consensus_voxels
-        best[rows, columns] = np.argmax(np.where(near, rise[rows, columns], -np.inf), axis=-1)
+        _follow_neighbours(best, rise, config)
     peak = np.take_along_axis(rise, best[..., None], axis=-1)
     if not np.max(peak) > _SMALLEST_RISE:
         raise QueryError(
@@ -197,6 +196,21 @@ def _largest_rise(
     rival = np.max(np.where(np.abs(depth - best[..., None]) > foot, rise, 0.0), axis=-1)
     confidence = np.clip(1.0 - rival / np.maximum(peak[..., 0], _SMALLEST_RISE), 0.0, 1.0)
     return best + _parabola_vertex(rise, best), confidence
+
+
+def _follow_neighbours(best: NDArray[np.intp], rise: NDArray[np.float32], config: SurfaceMapConfig) -> None:
+    """Move, in place, A-scans far from the median of their neighbours to the largest rise near it, if one is there."""
+    typical = np.median(np.max(rise, axis=-1))
+    agreed = ndimage.median_filter(best, size=config.consensus_ascans, mode="nearest")
+    rows, columns = np.nonzero(np.abs(best - agreed) > config.consensus_voxels)
+    profile, median = rise[rows, columns], agreed[rows, columns, None]
+    near = np.abs(np.arange(rise.shape[-1]) - median) <= config.consensus_voxels
+    # On a steep slope the window may hold only the flank of the true edge: then its largest rise is no summit.
+    summit = (profile >= np.roll(profile, 1, axis=-1)) & (profile >= np.roll(profile, -1, axis=-1))
+    rival = np.where(near & summit & (profile >= _WEAKEST_EDGE * typical), profile, -np.inf)
+    nearer = np.argmax(rival, axis=-1)
+    there = np.isfinite(np.max(rival, axis=-1))
+    best[rows[there], columns[there]] = nearer[there]
 
 
 def _parabola_vertex(rise: NDArray[np.float32], best: NDArray[np.intp]) -> NDArray[np.float64]:
