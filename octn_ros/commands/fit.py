@@ -58,8 +58,12 @@ class FitCommand:
         config = self._config()
         device = torch_device(self.device)
         volume = load_volume(self.volume, self.spacing_um)
-        with terminal.ProgressBar("fitting the field") as bar:
-            result = fit(volume, config, device=device, progress=lambda p: bar.show(p.fraction, _remark(p)))
+        with terminal.ProgressBar() as bar:
+
+            def show(progress: FitProgress) -> None:
+                bar.show("fitting the field", progress.fraction, _remark(progress))
+
+            result = fit(volume, config, device=device, progress=show)
         save_field(self.output, result.field)
         values = {
             "field": str(self.output),

@@ -16,7 +16,7 @@ from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 
 if TYPE_CHECKING:
-    from octn_ros.planning.plan import Plan
+    from octn_ros.planning import Plan
 
 CSV_COLUMNS = (
     "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "segment", "laser_on", "speed_m_s", "residual", "confidence",
@@ -80,8 +80,7 @@ class PlanCommand:
     def _plan(self) -> Plan:
         from octn_ros.demo.rectangle import centred_rectangle
         from octn_ros.field import field_hash, load_field
-        from octn_ros.planning.calibration import load_calibration
-        from octn_ros.planning.plan import PlannerConfig, plan_raster
+        from octn_ros.planning import PlannerConfig, load_calibration, plan_raster
 
         calibration = load_calibration(self.calibration)
         field = load_field(self.field)
@@ -104,11 +103,11 @@ def write_plan(path: Path, plan: Plan) -> None:
         CommandError: the file cannot be written.
     """
     if path.suffix == ".json":
-        from octn_ros.planning.plan import plan_to_plain
+        from octn_ros.planning import plan_to_plain
 
         terminal.write_text(path, json.dumps(plan_to_plain(plan), indent=1) + "\n")
         return
-    from octn_ros.planning.transforms import quaternions_xyzw
+    from octn_ros.planning import quaternions_xyzw
 
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

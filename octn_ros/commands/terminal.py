@@ -19,15 +19,11 @@ class CommandError(OctnError):
 
 
 class ProgressBar:
-    """A bar from 0 to 1 on stderr, with a changing remark; use it as a context manager.
+    """One bar on stderr for each thing that is going on, one after the other; use it as a context manager."""
 
-    Args:
-        title: what is going on.
-    """
-
-    def __init__(self, title: str) -> None:
+    def __init__(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
         self._progress = Progress(
             TextColumn("{task.description:<18}"),
@@ -37,7 +33,7 @@ class ProgressBar:
             TextColumn("{task.fields[remark]}", style="dim"),
             console=Console(stderr=True),
         )
-        self._task = self._progress.add_task(title, total=1.0, remark="")
+        self._tasks: dict[str, TaskID] = {}
 
     def __enter__(self) -> ProgressBar:
         self._progress.start()
@@ -46,11 +42,20 @@ class ProgressBar:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is None:
+            self._complete()
         self._progress.stop()
 
-    def show(self, fraction: float, remark: str = "") -> None:
-        """Move the bar to `fraction`; safe from any thread."""
-        self._progress.update(self._task, completed=min(max(fraction, 0.0), 1.0), remark=remark)
+    def show(self, title: str, fraction: float, remark: str = "") -> None:
+        """Move the bar of that title to `fraction` of 1; a new title completes the bars before it. Thread-safe."""
+        if title not in self._tasks:
+            self._complete()
+            self._tasks[title] = self._progress.add_task(title, total=1.0, remark=remark)
+        self._progress.update(self._tasks[title], completed=min(max(fraction, 0.0), 1.0), remark=remark)
+
+    def _complete(self) -> None:
+        for task in self._tasks.values():
+            self._progress.update(task, completed=1.0)
 
 
 def print_json(values: dict[str, Any]) -> None:

@@ -1,0 +1,88 @@
+"""`octn demo`: simulated scanner, trainer, planner and arm in one process, from a C-scan to an executed laser path."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from octn_ros.commands import arguments as common
+from octn_ros.commands import terminal
+
+if TYPE_CHECKING:
+    from octn_ros.demo.source import ScanSource
+
+# The time budget keeps the whole run within 90 s on two cores; the quick fit ends by its steps on any machine.
+FIT: dict[str, Any] = {"fit.time_budget_s": 40.0}
+QUICK_FIT: dict[str, Any] = {"fit.time_budget_s": 90.0, "fit.steps": 80}
+QUICK_SHAPE = (40, 80, 80)
+
+
+@dataclass(frozen=True)
+class DemoCommand:
+    """Run the whole chain once.
+
+    Attributes:
+        volume: a recorded C-scan to play instead of the phantom.
+        spacing_um: its spacing along (bscan, axial, lateral), overrides the file's.
+        output: directory for the report.
+        quick: a small phantom and a short fit.
+        json: print JSON instead of a table.
+    """
+
+    volume: Path | None = None
+    spacing_um: tuple[float, float, float] | None = None
+    output: Path = Path("demo_output")
+    quick: bool = False
+    json: bool = False
+
+    def run(self) -> int:
+        """Run the chain, write the report, print the figures; return 0.
+
+        Raises:
+            OctnError: an argument or a file cannot be used, or a node refused or failed.
+        """
+        if self.spacing_um is not None and self.volume is None:
+            raise terminal.CommandError("--spacing-um describes a recorded C-scan: expected --volume FILE beside it")
+        terminal.make_output_directory(self.output)
+        with terminal.ProgressBar() as bar:
+            start = time.perf_counter()
+            bar.show("loading", 0.0)
+            from octn_ros.demo.run import run_demo
+
+            source = self._source()
+            seconds = {"load": time.perf_counter() - start}
+            result = run_demo(source, QUICK_FIT if self.quick else FIT, self.output, bar.show, seconds)
+        if self.json:
+            terminal.print_json(result.to_plain())
+        else:
+            terminal.print_table("octn demo", result.rows())
+            terminal.say(f"Report: {result.report}")
+        return 0
+
+    def _source(self) -> ScanSource:
+        from octn_ros.demo.source import phantom_source, recorded_source
+        from octn_ros.simulation import PhantomConfig
+
+        if self.volume is not None:
+            return recorded_source(self.volume, self.spacing_um)
+        return phantom_source(PhantomConfig(shape=QUICK_SHAPE) if self.quick else PhantomConfig())
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser's subcommands."""
+    parser = commands.add_parser("demo", help="run the whole chain on a phantom or a recording", description=__doc__)
+    parser.add_argument("--volume", type=Path, metavar="FILE", help="a recorded C-scan to play instead of the phantom")
+    common.add_spacing(parser)
+    parser.add_argument(
+        "--output", type=Path, default=Path("demo_output"), metavar="DIR", help="for the report; default demo_output"
+    )
+    parser.add_argument("--quick", action="store_true", help="a small phantom and a short fit")
+    common.add_json(parser)
+    parser.set_defaults(read=_read)
+
+
+def _read(arguments: argparse.Namespace) -> DemoCommand:
+    return DemoCommand(arguments.volume, common.spacing(arguments), arguments.output, arguments.quick, arguments.json)

@@ -1,0 +1,79 @@
+"""`octn fit`: a field that can be read again, the settings it takes, and what it refuses."""
+
+import json
+
+import pytest
+
+from octn_ros.cli import main
+from octn_ros.commands.fit import PRESET_NAMES
+
+
+def fit(scan, output, *more):
+    return main(["fit", str(scan), "-o", str(output), *more])
+
+
+def test_the_presets_named_are_the_presets_there_are():
+    from octn_ros.training import PRESETS
+
+    assert set(PRESET_NAMES) == set(PRESETS)
+
+
+def test_a_fit_writes_a_field_and_one_json_object(scan_file, tmp_path, capsys):
+    from octn_ros.field import load_field
+
+    output = tmp_path / "field.safetensors"
+    assert fit(scan_file, output, "--steps", "12", "--alpha", "0.5", "--seed", "7", "--device", "cpu", "--json") == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["steps"] == 12
+    assert values["field"] == str(output)
+    assert values["config"]["alpha"] == 0.5
+    assert values["config"]["seed"] == 7
+    assert values["fit_s"] > 0
+    field = load_field(output)
+    assert field.geometry.shape == (14, 24, 16)
+    assert field.description.training["steps"] == 12
+    assert field.description.training["psnr_db"] == pytest.approx(values["psnr_db"])
+
+
+def test_the_table_is_for_people(unstated_file, tmp_path, capsys):
+    spacing = ("--spacing-um", "20", "5", "20")
+    assert fit(unstated_file, tmp_path / "f.safetensors", "--steps", "3", "--device", "cpu", *spacing) == 0
+    output = capsys.readouterr()
+    assert "PSNR against the measured voxels" in output.out
+    assert "fitting the field" in output.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--preset", "slow"), "invalid choice: 'slow'"),
+        (("--alpha", "1.5"), "alpha"),
+        (("--steps", "0"), "steps"),
+        (("--time-budget-s", "-1"), "time_budget_s"),
+        (("--time-budget-s", "nan"), "time_budget_s"),
+        (("--seed", "-3"), "seed"),
+        (("--device", "abacus"), "abacus"),
+        (("--spacing-um", "0", "5", "20"), "positive spacings"),
+    ],
+)
+def test_a_bad_setting_is_one_line(scan_file, tmp_path, arguments, words, capsys):
+    assert fit(scan_file, tmp_path / "field.safetensors", *arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("octn fit: error: ")
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "field.safetensors").exists()
+
+
+def test_bad_files_are_refused_before_and_after(scan_file, unstated_file, tmp_path, capsys):
+    for scan, output in (
+        (tmp_path / "missing.nii", tmp_path / "field.safetensors"),
+        (unstated_file, tmp_path / "field.safetensors"),
+        (scan_file, tmp_path / "missing" / "field.safetensors"),
+        (scan_file, tmp_path),
+    ):
+        assert fit(scan, output, "--steps", "1") == 2
+        output = capsys.readouterr()
+        assert output.out == ""
+        assert output.err.startswith("octn fit: error: ")
+        assert output.err.count("\n") == 1

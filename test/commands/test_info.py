@@ -1,0 +1,79 @@
+"""`octn info`: what it tells, and how it refuses a bad file."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from octn_ros.cli import main
+
+
+def test_json_tells_shape_spacing_and_intensity(scan_file, capsys):
+    assert main(["info", str(scan_file), "--json"]) == 0
+    output = capsys.readouterr()
+    values = json.loads(output.out)
+    assert output.err == ""
+    assert values["shape"] == [14, 24, 16]
+    assert values["spacing_um"] == pytest.approx([30, 15, 20], rel=1e-5)
+    assert values["spacing_from"] == "file"
+    assert values["extent_mm"] == pytest.approx({"lateral": 0.3, "bscan": 0.39, "axial": 0.345}, rel=1e-5)
+    assert (values["dtype"], values["bytes"], values["intensity_scale"]) == ("uint8", 14 * 24 * 16, "log")
+    assert 0 <= values["intensity"]["min"] < values["intensity"]["median"] < values["intensity"]["max"] <= 255
+
+
+def test_the_table_is_for_people(scan_file, capsys):
+    assert main(["info", str(scan_file), "--spacing-um", "10", "5", "20"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "14 B-scans x 24 axial x 16 lateral" in text
+    assert "10 x 5 x 20 um, from the arguments" in text
+
+
+def test_info_needs_no_torch(scan_file):
+    code = (
+        "import sys; from octn_ros.cli import main\n"
+        f"code = main(['info', {str(scan_file)!r}])\n"
+        "sys.exit(code or any(name in sys.modules for name in ('torch', 'rclpy', 'zenoh', 'matplotlib')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+def test_spacing_has_to_come_from_somewhere(unstated_file, capsys):
+    assert main(["info", str(unstated_file), "--json"]) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith("octn info: error: ")
+    assert "--spacing-um BSCAN AXIAL LATERAL" in output.err
+    assert main(["info", str(unstated_file), "--spacing-um", "20", "5", "20"]) == 0
+
+
+@pytest.mark.parametrize("spacing", [("0", "5", "20"), ("20", "-5", "20"), ("20", "5", "nan"), ("inf", "5", "20")])
+def test_a_spacing_that_is_none_is_refused(unstated_file, spacing, capsys):
+    assert main(["info", str(unstated_file), "--spacing-um", *spacing]) == 2
+    error = capsys.readouterr().err
+    assert "three positive spacings" in error
+    assert error.count("\n") == 1
+
+
+def test_a_missing_empty_truncated_or_foreign_file_is_one_line(tmp_path, scan_file, capsys):
+    truncated, empty, foreign = (tmp_path / name for name in ("truncated.nii.gz", "empty.nii", "foreign.nii"))
+    truncated.write_bytes(scan_file.read_bytes()[:-200])
+    empty.write_bytes(b"")
+    foreign.write_text("not a volume, but long enough to hold a header " * 20)
+    for path in (truncated, empty, foreign, tmp_path / "missing.nii", tmp_path):
+        assert main(["info", str(path)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"octn info: error: {path}: ")
+        assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("fill", [np.nan, np.inf])
+def test_voxels_that_are_no_numbers_are_counted(tmp_path, fill, capsys):
+    import nibabel
+
+    array = np.random.default_rng(0).random((4, 5, 6), dtype=np.float32)
+    array[1, 2, :3] = fill
+    nibabel.save(nibabel.Nifti1Image(array, np.eye(4)), tmp_path / "bad.nii")
+    assert main(["info", str(tmp_path / "bad.nii"), "--spacing-um", "20", "5", "20"]) == 2
+    assert "got 3 NaN or infinite ones" in capsys.readouterr().err

@@ -1,0 +1,38 @@
+"""`octn run`: the node's main gets the remaining arguments, and its exit code is the command's."""
+
+import json
+import sys
+import types
+
+import pytest
+
+from octn_ros.cli import main
+from octn_ros.commands.run import NODES
+
+
+@pytest.fixture
+def fake_node(monkeypatch):
+    """Stand-ins for the nodes' modules that note their arguments."""
+    seen = []
+
+    def make(name, code):
+        module = types.ModuleType(f"octn_ros.nodes.{name}")
+        module.main = lambda args: seen.append((name, args)) or code
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+
+    for name in NODES:
+        make(name, 0)
+    make("planner", 2)
+    return seen
+
+
+def test_the_rest_goes_to_the_node(fake_node):
+    assert main(["run", "trainer", "--ros-args", "-r", "__ns:=/b", "-p", "preset:=fast", "--", "--json"]) == 0
+    assert fake_node == [
+        ("trainer", ["octn run trainer", "--ros-args", "-r", "__ns:=/b", "-p", "preset:=fast", "--", "--json"])
+    ]
+
+
+def test_the_exit_code_is_the_nodes(fake_node, capsys):
+    assert main(["run", "--json", "planner"]) == 2
+    assert json.loads(capsys.readouterr().out) == {"node": "planner", "arguments": [], "exit_code": 2}
