@@ -111,7 +111,6 @@ def plan_raster(
     config: PlannerConfig | None = None,
     *,
     tau: float | None = None,
-    line_spacing_m: float | None = None,
     field_hash: str = "",
 ) -> Plan:
     """Plan a zigzag raster over a rectangle of the surface.
@@ -126,12 +125,11 @@ def plan_raster(
         angle_rad: angle of the rectangle's first side against the lateral axis.
         config: all else; the defaults if left out.
         tau: intensity of the surface if it is known already; else the configured one, or an estimate from the field.
-        line_spacing_m: line spacing of this request, in place of the configured one.
         field_hash: identity of the field, kept with the plan.
 
     Raises:
-        PlanError: the rectangle, its spacing or its place cannot be planned, the calibration is for another frame, no
-            surface is there, or too large a share of the waypoints was given up.
+        PlanError: the rectangle is empty, outside the field or too finely spaced, the calibration is for another frame,
+            no surface is there, or too large a share of the waypoints was given up.
     """
     config = config or PlannerConfig()
     if field.geometry.frame != calibration.oct_frame:
@@ -142,7 +140,7 @@ def plan_raster(
     began = time.perf_counter()
     corners = rectangle_corners(corner_m, opposite_corner_m, angle_rad)
     check_inside(field.geometry, corners, "raster corner")
-    raster = rectangle_raster(corner_m, opposite_corner_m, angle_rad, config.raster, line_spacing_m=line_spacing_m)
+    raster = rectangle_raster(corner_m, opposite_corner_m, angle_rad, config.raster)
     level = _tau(field, config, tau)
     tau_done = time.perf_counter()
     search = find_surface(field, raster.points_m, level, config.search)

@@ -18,7 +18,11 @@ _NOTHING_M = 1e-9
 
 @dataclass(frozen=True)
 class RasterConfig:
-    """Density of a raster."""
+    """Density of a raster.
+
+    Raises:
+        ConfigurationError: a spacing is not a positive, finite number of metres.
+    """
 
     line_spacing_m: float = setting(
         50e-6, "largest distance between neighbouring raster lines", unit="m", low=1e-7, high=0.1
@@ -81,8 +85,6 @@ def rectangle_raster(
     opposite_corner_m: ArrayLike,
     angle_rad: float = 0.0,
     config: RasterConfig | None = None,
-    *,
-    line_spacing_m: float | None = None,
 ) -> RasterPattern:
     """Fill a rectangle with lines along its first side, there and back again (zigzag).
 
@@ -93,23 +95,19 @@ def rectangle_raster(
         opposite_corner_m: the corner across the diagonal.
         angle_rad: angle of the first side against the lateral axis, towards the bscan axis.
         config: spacings; the defaults if left out.
-        line_spacing_m: line spacing of this request, in place of the configured one.
 
     Raises:
-        PlanError: the rectangle is empty or not finite, the line spacing not a positive number, or the raster would
-            have more than a million waypoints (nothing is allocated for it).
+        PlanError: the rectangle is empty or not finite, or the raster would have more than a million waypoints
+            (nothing is allocated for it).
     """
     config = config or RasterConfig()
-    spacing = config.line_spacing_m if line_spacing_m is None else line_spacing_m
-    if not (math.isfinite(spacing) and spacing > 0):
-        raise PlanError(f"expected a positive line spacing in metres, got {spacing}")
     corners = rectangle_corners(corner_m, opposite_corner_m, angle_rad)
     side, other_side = corners[1] - corners[0], corners[3] - corners[0]
-    lines, points = _count(other_side, spacing), _count(side, config.point_spacing_m)
+    lines, points = _count(other_side, config.line_spacing_m), _count(side, config.point_spacing_m)
     if lines * points > MAX_WAYPOINTS:
         raise PlanError(
             f"expected at most {MAX_WAYPOINTS:,} waypoints, got {lines:.4g} lines of {points:.4g}: "
-            f"{np.hypot(*other_side) * 1e3:.3f} mm at a line spacing of {spacing * 1e6:g} um, "
+            f"{np.hypot(*other_side) * 1e3:.3f} mm at a line spacing of {config.line_spacing_m * 1e6:g} um, "
             f"{np.hypot(*side) * 1e3:.3f} mm at a point spacing of {config.point_spacing_m * 1e6:g} um"
         )
     share = np.broadcast_to(np.linspace(0.0, 1.0, int(points)), (int(lines), int(points))).copy()
