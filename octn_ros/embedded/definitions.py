@@ -18,10 +18,7 @@ Type = tuple[int, Any]  # (BASE, (name, bound)) | (NAME, type name) | (ARRAY or 
 BASE, NAME, ARRAY, SEQUENCE = (int(getattr(Nodetype, n)) for n in ("BASE", "NAME", "ARRAY", "SEQUENCE"))
 FILLER = "structure_needs_at_least_one_member"  # rosidl's only field of an empty message
 # rosbags drops default values; in the packages we offer only these are not zero.
-DEFAULTS = {
-    ("geometry_msgs/msg/Quaternion", "w"): 1.0,
-    ("sensor_msgs/msg/NavSatStatus", "status"): -2,
-}
+DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0, ("sensor_msgs/msg/NavSatStatus", "status"): -2}
 
 _store = get_typestore(Stores.ROS2_JAZZY)
 _table: dict[str, Any] = dict(_store.fielddefs)  # (constants, fields) by type name

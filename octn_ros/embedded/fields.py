@@ -141,4 +141,4 @@ def _primitives(value: Any, base: str, refuse: Callable[[Any, str], NoReturn]) -
     try:
         return array(code, value)
     except (TypeError, OverflowError) as error:
-        raise AssertionError(f"{error}: not a sequence of {base}") from error
+        refuse(value, f"a sequence of {base} ({error})")

@@ -114,29 +114,15 @@ class Context:
         return self
 
     def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_val: BaseException | None,
-        exc_tb: TracebackType | None,
+        self, exc_type: type[BaseException] | None, exc_val: BaseException | None, exc_tb: TracebackType | None
     ) -> None:
         self.try_shutdown()
 
 
 _running: weakref.WeakSet[Context] = weakref.WeakSet()
-_default: Context | None = None
-_default_lock = threading.Lock()
 
 
-def stop_all() -> None:
+def _stop_all() -> None:
     """Let all contexts end; may be called in a signal handler."""
     for context in list(_running):
         context._stop()
-
-
-def get_default_context(*, shutting_down: bool = False) -> Context:
-    """Return the default context; the next call makes a new one if this one is `shutting_down`."""
-    global _default
-    with _default_lock:
-        context = _default or Context()
-        _default = None if shutting_down else context
-        return context

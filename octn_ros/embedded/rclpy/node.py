@@ -27,7 +27,7 @@ from ._node_parameters import NodeParameters
 from .callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from .client import Client
 from .clock import Clock, ROSClock
-from .context import Context, get_default_context
+from .context import Context
 from .duration import Duration
 from .executors import Executor
 from .guard_condition import GuardCondition
@@ -46,6 +46,7 @@ from .subscription import Subscription
 from .time import Time
 from .time_source import TimeSource
 from .timer import Timer
+from .utilities import get_default_context
 
 ROSOUT_QOS = QoSProfile(depth=1000, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10))
 NANOSECONDS_PER_SECOND = 10**9
