@@ -1,0 +1,130 @@
+"""Services and clients in one process."""
+
+import threading
+
+import pytest
+from nav_msgs.srv import GetPlan
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import InvalidServiceNameException
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from std_srvs.srv import SetBool, Trigger
+
+WAIT_SEC = 20.0
+SHORT_SEC = 0.05
+
+
+def flip(request, response):
+    response.success = not request.data
+    return response
+
+
+def test_a_call_gets_its_own_answer(nodes, spin_until):
+    node = nodes("alpha")
+    node.create_service(SetBool, "flip", flip)
+    client = node.create_client(SetBool, "flip")
+    assert client.wait_for_service(WAIT_SEC)
+    calls = [client.call_async(SetBool.Request(data=bool(i % 2))) for i in range(10)]
+    spin_until(lambda: all(c.done() for c in calls), node)
+    assert [c.result().success for c in calls] == [True, False] * 5
+
+
+def test_a_client_knows_whether_its_service_is_there(nodes):
+    node = nodes("alpha")
+    client = node.create_client(SetBool, "flip")
+    assert not client.service_is_ready()
+    assert not client.wait_for_service(timeout_sec=SHORT_SEC)
+    service = node.create_service(SetBool, "flip", flip)
+    assert client.wait_for_service(WAIT_SEC)
+    assert (node.count_services("flip"), node.count_clients("flip")) == (1, 1)
+    assert (service.service_name, client.service_name) == ("/flip", "/flip")
+    node.destroy_service(service)
+    assert not client.service_is_ready()
+
+
+def test_waiting_ends_when_the_service_comes(nodes):
+    node = nodes("alpha")
+    client = node.create_client(SetBool, "flip")
+    waiting = threading.Thread(target=lambda: found.append(client.wait_for_service(WAIT_SEC)))
+    found = []
+    waiting.start()
+    node.create_service(SetBool, "flip", flip)
+    waiting.join(WAIT_SEC)
+    assert found == [True]
+
+
+def test_a_blocking_call_while_another_thread_spins(nodes):
+    node, executor = nodes("alpha"), SingleThreadedExecutor()
+    node.create_service(SetBool, "flip", flip)
+    client = node.create_client(SetBool, "flip")
+    executor.add_node(node)
+    spinning = threading.Thread(target=executor.spin)
+    spinning.start()
+    assert client.call(SetBool.Request(data=False), timeout_sec=WAIT_SEC).success
+    executor.shutdown()
+    spinning.join(WAIT_SEC)
+    assert client.call(SetBool.Request(), timeout_sec=SHORT_SEC) is None, "nobody spins: rclpy of Jazzy returns None"
+
+
+@pytest.mark.parametrize("executor_class", [SingleThreadedExecutor, MultiThreadedExecutor])
+def test_a_service_may_await_another(nodes, spin_until, executor_class):
+    node = nodes("alpha")
+    inner = node.create_client(Trigger, "inner", callback_group=ReentrantCallbackGroup())
+
+    async def outer(request, response):
+        response.message = f"outer({(await inner.call_async(Trigger.Request())).message})"
+        return response
+
+    def answer(request, response):
+        response.message = "inner"
+        return response
+
+    node.create_service(Trigger, "outer", outer)
+    node.create_service(Trigger, "inner", answer, callback_group=ReentrantCallbackGroup())
+    client = node.create_client(Trigger, "outer", callback_group=ReentrantCallbackGroup())
+    executor = executor_class()
+    future = client.call_async(Trigger.Request())
+    spin_until(future.done, node, executor=executor)
+    assert future.result().message == "outer(inner)"
+    executor.shutdown()
+
+
+def test_large_requests_and_answers(nodes, spin_until):
+    node = nodes("alpha")
+
+    def plan(request, response):
+        response.plan.poses = [request.start] * 10_000
+        return response
+
+    node.create_service(GetPlan, "plan", plan)
+    client = node.create_client(GetPlan, "plan")
+    request = GetPlan.Request()
+    request.start.pose.position.x = 2.5
+    future = client.call_async(request)
+    spin_until(future.done, node)
+    assert future.result().plan.poses[-1].pose.position.x == 2.5
+
+
+def test_mistakes_are_told(nodes, spin_until):
+    node = nodes("alpha")
+    client = node.create_client(SetBool, "flip")
+    with pytest.raises(TypeError, match="Expected"):
+        client.call_async(Trigger.Request())
+    with pytest.raises(InvalidServiceNameException):
+        node.create_service(SetBool, "two words", flip)
+    node.create_service(SetBool, "flip", lambda request, response: None)
+    future = client.call_async(SetBool.Request())
+    with pytest.raises(TypeError, match="NoneType"):
+        spin_until(future.done, node)
+
+
+def test_a_forgotten_request_stays_open(nodes, spin_until):
+    node = nodes("alpha")
+    served = []
+    node.create_service(Trigger, "do", lambda request, response: served.append(1) or response)
+    client = node.create_client(Trigger, "do")
+    future = client.call_async(Trigger.Request())
+    client.remove_pending_request(future)
+    other = client.call_async(Trigger.Request())
+    spin_until(other.done, node)
+    assert len(served) == 2
+    assert not future.done()
