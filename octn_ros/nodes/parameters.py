@@ -120,9 +120,9 @@ def _descriptor(hint: Any, metadata: typing.Mapping[str, Any], read_only: bool) 
     if metadata["choices"]:
         notes.append("one of " + ", ".join(metadata["choices"]))
     if low is not None:
-        notes.append(f"at least {low:g}")
+        notes.append(f"at least {low:.12g}")
     if high is not None:
-        notes.append(f"at most {high:g}")
+        notes.append(f"at most {high:.12g}")
     descriptor = ParameterDescriptor(
         description=text, additional_constraints="; ".join(notes), read_only=read_only, dynamic_typing=False
     )
@@ -145,5 +145,3 @@ def _descriptor(hint: Any, metadata: typing.Mapping[str, Any], read_only: bool) 
             )
         ]
     return descriptor
-
-

@@ -64,9 +64,7 @@ class Planner(Node):
         group = MutuallyExclusiveCallbackGroup()
         device = torch_device(config.device)
         self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
-        self.create_subscription(
-            PoseStamped, "scan_ee_pose", self._on_scan_ee_pose, qos.LATCHED, callback_group=group
-        )
+        self.create_subscription(PoseStamped, "scan_ee_pose", self._on_scan_ee_pose, qos.LATCHED, callback_group=group)
         self.create_service(GetPlan, "plan_raster", self._plan_raster, callback_group=group)
         self.get_logger().info(
             f"ready: device {device}, calibration {self._calibration.deviation:.1e} from orthonormal"

@@ -38,6 +38,11 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             raise  # not a matter of parameters: an error that a callback should have caught
         rclpy.logging.get_logger("octn_ros").fatal(str(error))
         return 2
+    except Exception:
+        # A signal between the executor's look at the context and its wait makes Jazzy raise RCLError, which rclpy
+        # does not export. Without a context there is nothing left to run, so it is an ordered end.
+        if rclpy.ok():
+            raise
     finally:
         if node is not None:
             node.destroy_node()

@@ -21,6 +21,7 @@ from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.planning import (
     SurfaceSearchConfig,
+    WaypointConfig,
     find_surface,
     inward_normals,
     load_calibration,
@@ -43,9 +44,6 @@ class QueryNodeConfig:
     sample_spacing_m: float = setting(
         50e-6, "distance of the samples of query_surface when the request states none", unit="m", low=1e-7, high=0.1
     )
-    normal_radius_voxels: float = setting(
-        3.0, "reach of the gradients that are averaged to a normal", unit="voxels", low=0.0, high=20.0
-    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -61,6 +59,9 @@ class Query(Node):
         super().__init__("query", namespace=namespace, **options)
         self._config = ConfigParameters(self, QueryNodeConfig(), read_only=("device", "calibration"))
         self._search_config = ConfigParameters(self, SurfaceSearchConfig(), "search")
+        # Normals are found as the planner finds them; where the focus would lie is not asked here.
+        placing = ("orientation", "standoff_m")
+        self._normal_config = ConfigParameters(self, WaypointConfig(), "waypoints", leave_out=placing)
         config = self._config.config()
         self._frames = ScanFrames(load_calibration(config.calibration or config_path("calibration.yaml")))
         # One group for all of them: no answer mixes two fields.
@@ -101,7 +102,7 @@ class Query(Node):
         if not kept.all():
             self.get_logger().warning(f"query_surface: no surface at {np.count_nonzero(~kept)} of {len(kept)} samples")
         surface = np.column_stack([points, found.depth_m])[kept]
-        normals = inward_normals(received.field, surface, config.normal_radius_voxels)
+        normals = inward_normals(received.field, surface, self._normal_config.config().normal_radius_voxels)
         return received, waypoint_poses(surface, normals, 0.0)
 
 

@@ -1,0 +1,75 @@
+"""All four nodes: the simulated scanner and arm beside trainer, query and planner.
+
+Then: ros2 service call /octn/scan std_srvs/srv/Trigger
+"""
+
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchContext, LaunchDescription
+from octn_ros.simulation import PhantomConfig
+from octn_ros.volume import VolumeGeometry, load_volume
+
+ARGUMENTS = {
+    "volume": "C-scan (NIfTI) that the scanner plays; empty = the default phantom",
+    "spacing_um": "voxel spacing of volume in micrometres, if the file does not state it: BSCAN AXIAL LATERAL",
+    "calibration": "calibration file (YAML) instead of the package's",
+    "device": "where fields are fitted and evaluated: auto, cpu, cuda, cuda:1, ...",
+    "preset": "preset of the fit: fast or paper",
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    defaults = PathJoinSubstitution([FindPackageShare("octn_ros"), "config", "octn.yaml"])
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("namespace", default_value="octn", description="namespace of all nodes"),
+            DeclareLaunchArgument("params_file", default_value=defaults, description="parameters of all nodes (YAML)"),
+            *(
+                DeclareLaunchArgument(name, default_value="", description=description)
+                for name, description in ARGUMENTS.items()
+            ),
+            OpaqueFunction(function=_actions),
+        ]
+    )
+
+
+def _actions(context: LaunchContext) -> list[Node | IncludeLaunchDescription]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ("namespace", "params_file", *ARGUMENTS)}
+    spacing_um = [float(number) for number in given["spacing_um"].replace(",", " ").split()]
+    scanned = _geometry(given["volume"], spacing_um)
+    simulator = {"volume_file": given["volume"]}
+    if spacing_um:
+        simulator["spacing_um"] = spacing_um
+    if given["calibration"]:
+        simulator["calibration"] = given["calibration"]
+    # What the scanner sends is stated to the trainer, as it must be with a real one.
+    stated = {
+        "bscan_count": str(scanned.shape[0]),
+        "spacing_um": " ".join(f"{spacing * 1e6:.9g}" for spacing in scanned.spacing_m),
+    }
+    passed = {name: given[name] for name in ("namespace", "params_file", "calibration", "device", "preset")}
+    main = PathJoinSubstitution([FindPackageShare("octn_ros"), "launch", "octn.launch.py"])
+    return [
+        IncludeLaunchDescription(PythonLaunchDescriptionSource(main), launch_arguments={**passed, **stated}.items()),
+        Node(
+            package="octn_ros",
+            executable="simulator",
+            namespace=given["namespace"],
+            parameters=[given["params_file"], simulator],
+            output="screen",
+        ),
+    ]
+
+
+def _geometry(volume: str, spacing_um: list[float]) -> VolumeGeometry:
+    if not volume:
+        phantom = PhantomConfig()
+        return VolumeGeometry(phantom.shape, phantom.spacing_m)
+    if spacing_um:
+        bscan, axial, lateral = spacing_um
+        return load_volume(volume, (bscan, axial, lateral)).geometry
+    return load_volume(volume).geometry

@@ -1,0 +1,71 @@
+"""The text of config/octn.yaml, from the nodes' own declarations.
+
+Write it again with `python -m octn_ros.nodes.parameter_file > config/octn.yaml`.
+"""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterator
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+
+from octn_ros.nodes.planner import Planner
+from octn_ros.nodes.query import Query
+from octn_ros.nodes.simulator import Simulator
+from octn_ros.nodes.trainer import Trainer
+
+NODES = (Trainer, Query, Planner, Simulator)
+WIDTH = 110  # of a comment
+
+_HEAD = """\
+# Every parameter of every node, with its default. `ros2 param describe /octn/trainer NAME` says the same.
+#
+#   ros2 run octn_ros trainer --ros-args --params-file octn.yaml
+#   ros2 launch octn_ros octn.launch.py params_file:=octn.yaml
+#
+# Written by `python -m octn_ros.nodes.parameter_file`, and held against the code by a test. The defaults of fit.*
+# come from the preset, so they are commented out here: take the # away to fix one whatever the preset.
+"""
+_OF_PRESET = "fit."
+
+
+def parameter_file() -> str:
+    """Return the text of config/octn.yaml; rclpy must be initialised. Makes each node once and ends it again."""
+    parts = [_HEAD]
+    for kind in NODES:
+        node = kind()
+        try:
+            parts.append("\n".join((f"/**/{node.get_name()}:", "  ros__parameters:", *_lines(node), "")))
+        finally:
+            node.destroy_node()
+    return "\n".join(parts)
+
+
+def _lines(node: Node) -> Iterator[str]:
+    names = sorted(node.get_parameters_by_prefix(""), key=lambda name: (name.count("."), name))
+    for name in names:
+        if name == "use_sim_time" or name.startswith("qos_overrides"):
+            continue
+        descriptor = node.describe_parameter(name)
+        notes = [descriptor.description, descriptor.additional_constraints]
+        notes.append("given at the start only" if descriptor.read_only else "")
+        for line in textwrap.wrap("; ".join(filter(None, notes)), WIDTH):
+            yield f"    # {line}"
+        mark = "# " if name.startswith(_OF_PRESET) else ""
+        yield f"    {mark}{name}: {_scalar(node.get_parameter(name).value)}"
+
+
+def _scalar(value: Any) -> str:
+    if isinstance(value, (bool, int, float, str)):
+        return json.dumps(value)  # JSON's scalars are YAML's
+    return json.dumps(list(value))
+
+
+if __name__ == "__main__":
+    rclpy.init(args=[])
+    print(parameter_file(), end="")
+    rclpy.try_shutdown()
