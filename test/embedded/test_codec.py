@@ -6,9 +6,10 @@ from array import array
 
 import numpy as np
 import pytest
-from octn_ros.embedded import definitions, message
 from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import UInt8MultiArray
+
+from octn_ros.embedded import definitions, message
 
 REFERENCE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = sorted(REFERENCE.fielddefs)

@@ -33,7 +33,9 @@ def test_installing_loads_nothing_either_and_twice_is_once():
 def test_a_genuine_rclpy_wins(tmp_path):
     (tmp_path / "rclpy").mkdir()
     (tmp_path / "rclpy" / "__init__.py").write_text("genuine = True\n")
-    code = "import octn_ros.embedded as e; print(e.install()); import rclpy; print(rclpy.genuine, 'zenoh' in sys.modules)"
+    code = (
+        "import octn_ros.embedded as e; print(e.install()); import rclpy; print(rclpy.genuine, 'zenoh' in sys.modules)"
+    )
     assert run(code, tmp_path) == ["False", "True", "False"]
 
 

@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 import rclpy
 from nav_msgs.srv import GetPlan
-from octn_ros.embedded.absent import ABSENT_MODULES
 from rclpy.clock import Clock
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
+
+from octn_ros.embedded.absent import ABSENT_MODULES
 
 ROOT = Path(__file__).parents[2]
 API = Path(os.environ.get("OCTN_SHARED", ROOT.parent / "shared")) / "rclpy_jazzy_api.json"
@@ -143,11 +144,11 @@ def refused(owner, name):
 @pytest.mark.parametrize("name", sorted(n for n in INDEX if "." in n))
 def test_what_we_lack_says_that_it_needs_ros2(name):
     module, _, rest = name.rpartition(".")
-    try:
-        owner = importlib.import_module(module)
-    except NotImplementedError as error:
-        assert "needs ROS 2" in str(error)
+    if any(module == m or module.startswith(f"{m}.") for m in ABSENT_MODULES):
+        with pytest.raises(NotImplementedError, match="needs ROS 2"):
+            importlib.import_module(module)
         return
+    owner = importlib.import_module(module)
     if rest not in vars(owner):
         refused(owner, rest)
 
@@ -183,13 +184,13 @@ def test_members_we_lack_say_that_they_need_ros2(nodes):
 
 
 def test_arguments_we_lack_say_that_they_need_ros2(nodes):
-    with pytest.raises(NotImplementedError, match="'enable_logger_service' .* needs ROS 2"):
+    with pytest.raises(NotImplementedError, match=r"'enable_logger_service' .* needs ROS 2"):
         nodes("alpha", enable_logger_service=True)
     node = nodes("beta")
     for name in ("event_callbacks", "qos_overriding_options"):
-        with pytest.raises(NotImplementedError, match=f"'{name}' .* needs ROS 2"):
+        with pytest.raises(NotImplementedError, match=rf"'{name}' .* needs ROS 2"):
             node.create_publisher(String, "a", 1, **{name: object()})
-        with pytest.raises(NotImplementedError, match=f"'{name}' .* needs ROS 2"):
+        with pytest.raises(NotImplementedError, match=rf"'{name}' .* needs ROS 2"):
             node.create_subscription(String, "a", print, 1, **{name: object()})
 
 

@@ -2,7 +2,6 @@
 
 import pytest
 import rclpy
-from octn_ros.embedded.errors import InvalidHandle, RCLError
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -16,6 +15,8 @@ from rclpy.qos import (
 )
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Int32, String
+
+from octn_ros.embedded.errors import InvalidHandle, RCLError
 
 LATCHED = QoSProfile(depth=2, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 

@@ -1,10 +1,11 @@
 """Tokens and hashes against those of a ROS 2 Jazzy graph with rmw_zenoh_cpp, and the session's configuration."""
 
 import pytest
-from octn_ros.embedded import definitions, session, wire
-from octn_ros.embedded.wire import Token
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_parameter_events
+
+from octn_ros.embedded import definitions, session, wire
+from octn_ros.embedded.wire import Token
 
 SESSION = "943f9ebc32acd3e072bfda12ce8c7ed2"
 NODE = "/_ros2cli_31"

@@ -1,0 +1,75 @@
+"""Loggers."""
+
+import pytest
+from rcl_interfaces.msg import Log
+from rclpy.clock import Clock
+from rclpy.logging import (
+    LoggingSeverity,
+    get_logger,
+    get_logger_effective_level,
+    get_logging_severity_from_string,
+    set_logger_level,
+)
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+
+def lines(capsys):
+    return capsys.readouterr().err.splitlines()
+
+
+def test_messages_go_to_stderr_with_severity_time_and_name(capsys):
+    logger = get_logger("test.words")
+    assert logger.info("hello")
+    assert not logger.debug("hidden")
+    (line,) = lines(capsys)
+    assert line.startswith("[INFO] [")
+    assert line.endswith("] [test.words]: hello")
+
+
+def test_levels_hold_for_loggers_below(capsys):
+    set_logger_level("test.level", LoggingSeverity.ERROR)
+    child = get_logger("test.level").get_child("child")
+    assert not child.warning("hidden")
+    assert child.fatal("shown")
+    child.set_level(LoggingSeverity.DEBUG)
+    assert child.debug("shown")
+    assert get_logger_effective_level("test.level") == LoggingSeverity.ERROR
+    assert len(lines(capsys)) == 2
+
+
+def test_once_skip_first_and_throttle(capsys):
+    logger = get_logger("test.filters")
+    for i in range(3):
+        logger.info(f"once {i}", once=True)
+        logger.info(f"later {i}", skip_first=True)
+        logger.info(f"seldom {i}", throttle_duration_sec=1000.0)
+        logger.info(f"by clock {i}", throttle_duration_sec=1000.0, throttle_time_source_type=Clock())
+        logger.debug("hidden", once=True)
+    texts = [line.rpartition("]: ")[2] for line in lines(capsys)]
+    assert texts == ["once 0", "seldom 0", "by clock 0", "later 1", "later 2"]
+    with pytest.raises(TypeError, match="throttle_duration_sec"):
+        logger.info("x", throttle_time_source_type=Clock())
+    with pytest.raises(TypeError, match="unexpected"):
+        logger.info("x", sometimes=True)
+
+
+def test_names_of_levels(init, capsys):
+    init("--log-level", "test.argument:=warn")
+    assert not get_logger("test.argument").info("hidden")
+    assert get_logging_severity_from_string("error") == LoggingSeverity.ERROR
+    with pytest.raises(RuntimeError, match="'loud' is no severity"):
+        get_logging_severity_from_string("loud")
+
+
+def test_what_a_node_logs_is_published_on_rosout(nodes, spin_until, capsys):
+    node, listener, quiet, logs = nodes("alpha", namespace="rob"), nodes("beta"), nodes("g", enable_rosout=False), []
+    latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    listener.create_subscription(Log, "/rosout", logs.append, latched)
+    nodes("other", namespace="rob")
+    quiet.get_logger().error("not published")
+    node.get_logger().get_child("part").error("published")
+    spin_until(lambda: logs, listener)
+    (log,) = logs
+    assert (log.name, log.msg, log.level) == ("rob.alpha.part", "published", LoggingSeverity.ERROR)
+    assert log.file == __file__
+    assert log.function == "test_what_a_node_logs_is_published_on_rosout"
