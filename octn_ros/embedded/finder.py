@@ -12,21 +12,8 @@ from typing import Any
 from octn_ros.embedded.absent import ABSENT_MODULES
 from octn_ros.embedded.errors import needs_ros2
 
-PACKAGES = frozenset(
-    {
-        "builtin_interfaces",
-        "diagnostic_msgs",
-        "geometry_msgs",
-        "nav_msgs",
-        "rcl_interfaces",
-        "rosgraph_msgs",
-        "sensor_msgs",
-        "std_msgs",
-        "std_srvs",
-        "tf2_msgs",
-        "visualization_msgs",
-    }
-)
+_MESSAGES = {f"{name}_msgs" for name in ("diagnostic", "geometry", "nav", "rosgraph", "sensor", "std", "tf2")}
+PACKAGES = _MESSAGES | {"builtin_interfaces", "rcl_interfaces", "std_srvs", "visualization_msgs"}
 RCLPY = Path(__file__).parent / "rclpy"
 
 

@@ -17,7 +17,7 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 
 
 def session_config(domain_id: int) -> dict[str, Any]:
-    """Return the configuration of a peer as rmw_zenoh_cpp's that also finds its peers without a router.
+    """Return, by Zenoh's keys, the configuration of a peer as rmw_zenoh_cpp's that finds others without a router.
 
     One process listens at the rendezvous port, the others connect to it and learn of each other by gossip. All try to
     listen again and again, so another takes the port over when its holder ends. Everything stays on loopback: any user
@@ -27,45 +27,31 @@ def session_config(domain_id: int) -> dict[str, Any]:
     """
     port = int(os.environ.get("OCTN_RENDEZVOUS_PORT", RENDEZVOUS_PORT + domain_id))
     retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+    everyone = {"router": ["router", "peer"], "peer": ["router", "peer"]}
+    queue = "transport/link/tx/queue"
     return {
         "mode": "peer",
-        "connect": {
-            "endpoints": [f"tcp/127.0.0.1:{port}", f"tcp/127.0.0.1:{ROUTER_PORT}"],
-            "timeout_ms": -1,  # with 0 it would try once and never find a router or holder that starts later
-            "exit_on_failure": False,
-            "retry": {**retry, "period_max_ms": 2000},
-        },
-        "listen": {
-            "endpoints": [f"tcp/127.0.0.1:{port}#exit_on_failure=false", "tcp/127.0.0.1:0"],
-            "timeout_ms": 0,
-            "exit_on_failure": True,
-            "retry": retry,
-        },
-        "scouting": {
-            "delay": 100,
-            "multicast": {"enabled": False},
-            "gossip": {
-                "enabled": True,
-                "target": {"router": ["router", "peer"], "peer": ["router", "peer"]},
-                "autoconnect": {"router": [], "peer": ["router", "peer"]},
-                "autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
-            },
-        },
-        "timestamping": {"enabled": True},  # the cache behind latched topics needs it
-        "transport": {
-            "link": {  # Zenoh's defaults lose or slow down messages of many MB
-                "tx": {
-                    "queue": {
-                        "size": {"data": 16},
-                        "congestion_control": {
-                            "drop": {"wait_before_drop": 100_000, "max_wait_before_drop_fragments": 5_000_000},
-                            "block": {"wait_before_close": 60_000_000},
-                        },
-                    }
-                },
-                "rx": {"buffer_size": 1 << 20},
-            }
-        },
+        "connect/endpoints": [f"tcp/127.0.0.1:{port}", f"tcp/127.0.0.1:{ROUTER_PORT}"],
+        "connect/timeout_ms": -1,  # with 0 it would try once and never find a router or holder that starts later
+        "connect/exit_on_failure": False,
+        "connect/retry": {**retry, "period_max_ms": 2000},
+        "listen/endpoints": [f"tcp/127.0.0.1:{port}#exit_on_failure=false", "tcp/127.0.0.1:0"],
+        "listen/timeout_ms": 0,
+        "listen/exit_on_failure": True,
+        "listen/retry": retry,
+        "scouting/delay": 100,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "scouting/gossip/target": everyone,
+        "scouting/gossip/autoconnect": {"router": [], "peer": everyone["peer"]},
+        "scouting/gossip/autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
+        "timestamping/enabled": True,  # the cache behind latched topics needs it
+        # Zenoh's defaults lose or slow down messages of many MB.
+        f"{queue}/size/data": 16,
+        f"{queue}/congestion_control/drop/wait_before_drop": 100_000,
+        f"{queue}/congestion_control/drop/max_wait_before_drop_fragments": 5_000_000,
+        f"{queue}/congestion_control/block/wait_before_close": 60_000_000,
+        "transport/link/rx/buffer_size": 1 << 20,
     }
 
 
@@ -79,7 +65,10 @@ def open_session(domain_id: int) -> zenoh.Session:
         zenoh.ZError: no socket on loopback can be had.
     """
     _keep_large_blocks()
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(session_config(domain_id))))
+    config = zenoh.Config()
+    for key, value in session_config(domain_id).items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
 
 
 def _keep_large_blocks() -> None:

@@ -103,12 +103,12 @@ def test_a_gid_needs_no_xxhash(monkeypatch):
 
 def test_a_session_listens_on_loopback_only(graph):
     config = session.session_config(int(graph["ROS_DOMAIN_ID"]))
-    endpoints = config["listen"]["endpoints"] + config["connect"]["endpoints"]
+    endpoints = config["listen/endpoints"] + config["connect/endpoints"]
     assert all(e.startswith("tcp/127.0.0.1:") for e in endpoints)
     assert endpoints[0].startswith(f"tcp/127.0.0.1:{graph['OCTN_RENDEZVOUS_PORT']}")
-    assert not config["scouting"]["multicast"]["enabled"]
+    assert not config["scouting/multicast/enabled"]
 
 
 def test_the_port_follows_the_domain(monkeypatch):
     monkeypatch.delenv("OCTN_RENDEZVOUS_PORT")
-    assert session.session_config(3)["listen"]["endpoints"][0].startswith("tcp/127.0.0.1:17450")
+    assert session.session_config(3)["listen/endpoints"][0].startswith("tcp/127.0.0.1:17450")

@@ -7,8 +7,6 @@ import os
 import sys
 import threading
 import weakref
-from collections.abc import Callable
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from octn_ros.embedded.absent import refuse_absent
@@ -37,7 +35,6 @@ class Context:
         self._domain_id = 0
         self._arguments = Arguments()
         self._executors: weakref.WeakSet[Executor] = weakref.WeakSet()
-        self._on_shutdown: list[Callable[[], None]] = []
 
     def init(
         self, args: list[str] | None = None, *, initialize_logging: bool = True, domain_id: int | None = None
@@ -95,28 +92,10 @@ class Context:
         """End the context, if it is running, and close its session."""
         with self._lock:
             self._stop()
-            callbacks, self._on_shutdown = self._on_shutdown, []
             bus = self._bus
-        for callback in callbacks:
-            callback()
         if bus is not None and not bus.closed:
             bus.close()
             atexit.unregister(bus.close)
-
-    def on_shutdown(self, callback: Callable[[], None]) -> None:
-        """Call `callback` when the context is shut down by `shutdown` or `try_shutdown`."""
-        if not callable(callback):
-            raise TypeError(f"callback should be a callable, got {callback!r}")
-        self._on_shutdown.append(callback)
-
-    def __enter__(self) -> Context:
-        self.init()
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc_val: BaseException | None, exc_tb: TracebackType | None
-    ) -> None:
-        self.try_shutdown()
 
 
 _running: weakref.WeakSet[Context] = weakref.WeakSet()

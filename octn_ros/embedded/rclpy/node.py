@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, TypeVar
 
@@ -138,36 +138,6 @@ class Node(NodeGraph, NodeParameters):
     def default_callback_group(self) -> CallbackGroup:
         """The mutually exclusive group of all entities that are given none."""
         return self._default_callback_group
-
-    @property
-    def publishers(self) -> Iterator[Publisher]:
-        """The node's publishers."""
-        return iter(list(self._publishers))
-
-    @property
-    def subscriptions(self) -> Iterator[Subscription]:
-        """The node's subscriptions."""
-        return iter(list(self._subscriptions))
-
-    @property
-    def clients(self) -> Iterator[Client]:
-        """The node's clients."""
-        return iter(list(self._clients))
-
-    @property
-    def services(self) -> Iterator[Service]:
-        """The node's services."""
-        return iter(list(self._services))
-
-    @property
-    def timers(self) -> Iterator[Timer]:
-        """The node's timers."""
-        return iter(list(self._timers))
-
-    @property
-    def guards(self) -> Iterator[GuardCondition]:
-        """The node's guard conditions."""
-        return iter(list(self._guards))
 
     @property
     def executor(self) -> Executor | None:
