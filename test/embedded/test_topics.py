@@ -70,6 +70,18 @@ def test_raw_messages(nodes, spin_until):
     assert deserialize_message(raw[0], String).data == "one"
 
 
+def test_bytes_that_are_no_message_are_an_error_and_the_node_goes_on(nodes, spin_until):
+    node, got = nodes("alpha"), []
+    node.create_subscription(String, "text", got.append, 10)
+    publisher = node.create_publisher(String, "text", 10)
+    publisher.publish(b"no message")
+    with pytest.raises(ValueError, match="little-endian"):
+        spin_until(lambda: got, node)
+    publisher.publish(String(data="one"))
+    spin_until(lambda: got, node)
+    assert got[0].data == "one"
+
+
 def test_the_graph_tells_who_is_there(nodes, spin_until):
     node, other = nodes("alpha"), nodes("beta", namespace="rob")
     assert node.wait_for_node("/rob/beta", 5.0)
