@@ -101,6 +101,22 @@ class HashGrid(nn.Module):
             features = _FusedInterpolation.apply(self.table, rows, weights)
         return features.reshape(points.shape[0], self.width)
 
+    def forward_lattice(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> Tensor:
+        """Encode the lattice of three canonical coordinate vectors as features [bscan, axial, lateral, width].
+
+        Neighbouring lattice points share vertices and trilinear interpolation is separable, so each vertex is read
+        once and blended axis by axis: equal to `forward` at the same points (tested) at a fraction of its cost. Not
+        differentiable.
+        """
+        answer = torch.empty(
+            len(bscan), len(axial), len(lateral), self.width, dtype=self.table.dtype, device=self.table.device
+        )
+        units = [(axis.clamp(-1.0, 1.0) + 1.0) * 0.5 for axis in (lateral, axial, bscan)]
+        features = self.config.features
+        for number, level in enumerate(self._levels):
+            level.blend_lattice(self.table.detach(), units, answer[..., number * features : (number + 1) * features])
+        return answer
+
     def _rows_and_weights(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return table rows [N * levels, 8] and their interpolation weights [N * levels, 8]."""
         unit = (points.clamp(-1.0, 1.0) + 1.0) * 0.5
@@ -122,22 +138,56 @@ class _Level:
     first_row: int
     size: int
 
+    @property
+    def factors(self) -> tuple[int, int, int]:
+        """What a vertex number is multiplied by along each axis before the three are combined."""
+        return (1, self.vertices[0], self.vertices[0] * self.vertices[1]) if self.dense else _PRIMES
+
+    def combine(self, first: Tensor, second: Tensor, third: Tensor) -> Tensor:
+        """Return table rows of vertices from their factored numbers along the three axes."""
+        row = first + second + third if self.dense else (first ^ second ^ third) & (self.size - 1)
+        return row + self.first_row
+
+    def blend_lattice(self, table: Tensor, units: list[Tensor], out: Tensor) -> None:
+        """Write this level's features [bscan, axial, lateral, F] of a lattice in unit coordinates into `out`."""
+        numbers, near, far, shares = [], [], [], []
+        for axis, unit in enumerate(units):
+            position = unit * self.scale[axis] + 0.5
+            cell = position.floor()
+            low = cell.long()
+            used, where = torch.unique(torch.stack((low, low + 1)), return_inverse=True)
+            numbers.append(used * self.factors[axis])
+            near.append(where[0])
+            far.append(where[1])
+            shares.append(position - cell)
+        rows = self.combine(numbers[0], numbers[1][:, None], numbers[2][:, None, None])
+        values = table[rows]
+        for axis, dim in ((0, 2), (1, 1)):
+            values = _blend(values, near[axis], far[axis], shares[axis], dim)
+        torch.lerp(values[near[2]], values[far[2]], shares[2][:, None, None, None], out=out)
+
     def corners(self, unit: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the rows and weights [N, 8] of the vertices around points [N, 3] in unit coordinates."""
         position = unit * unit.new_tensor(self.scale) + 0.5
         cell = position.detach().floor()
         fraction = position - cell
         low = cell.long()
-        factors = (1, self.vertices[0], self.vertices[0] * self.vertices[1]) if self.dense else _PRIMES
+        factors = self.factors
         # Products along each axis for the near and the far vertex; a corner combines one of each.
         products = [(low[:, axis] * factors[axis], (low[:, axis] + 1) * factors[axis]) for axis in range(3)]
         shares = [(1.0 - fraction[:, axis], fraction[:, axis]) for axis in range(3)]
         rows, weights = [], []
         for a, b, c in _CORNERS:
             first, second, third = products[0][a], products[1][b], products[2][c]
-            row = first + second + third if self.dense else (first ^ second ^ third) & (self.size - 1)
-            rows.append(row + self.first_row)
+            rows.append(self.combine(first, second, third))
             weights.append(shares[0][a] * shares[1][b] * shares[2][c])
         return torch.stack(rows, dim=-1), torch.stack(weights, dim=-1)
+
+
+def _blend(values: Tensor, near: Tensor, far: Tensor, share: Tensor, dim: int) -> Tensor:
+    shape = [1] * values.dim()
+    shape[dim] = -1
+    return torch.lerp(values.index_select(dim, near), values.index_select(dim, far), share.view(shape))
 
 
 def interpolate_reference(table: Tensor, rows: Tensor, weights: Tensor) -> Tensor:

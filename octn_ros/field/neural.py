@@ -8,7 +8,7 @@ from dataclasses import field as dataclass_field
 import torch
 from torch import Tensor, nn
 
-from octn_ros.field.field import DifferentiableField, FieldDescription
+from octn_ros.field.field import CHUNK_POINTS, DifferentiableField, FieldDescription
 from octn_ros.field.hash_grid import HashGrid, HashGridConfig
 from octn_ros.field.network import Network, NetworkConfig
 from octn_ros.volume import VolumeGeometry
@@ -80,3 +80,20 @@ class NeuralField(DifferentiableField):
     def evaluate(self, points: Tensor) -> Tensor:
         """Return the intensities [N] at canonical points [N, 3]; differentiable in the points."""
         return self.model(points)
+
+    def lattice(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> Tensor:
+        """Return intensities [bscan, axial, lateral] on the lattice of three canonical coordinate vectors.
+
+        In slabs of B-scans and axial rows that share the encoding's work; equal to `evaluate` at the same points.
+        """
+        answer = torch.empty(len(bscan), len(axial), len(lateral), device=self.device)
+        rows = max(1, CHUNK_POINTS // max(len(lateral), 1))
+        slices = max(1, rows // max(len(axial), 1))
+        with torch.no_grad():
+            for first in range(0, len(bscan), slices):
+                for row in range(0, len(axial), rows):
+                    slab = (slice(first, first + slices), slice(row, row + rows))
+                    features = self.model.grid.forward_lattice(lateral, axial[slab[1]], bscan[slab[0]])
+                    values = self.model.network(features.view(-1, features.shape[-1]))
+                    answer[slab] = values.view(features.shape[:-1])
+        return answer

@@ -117,3 +117,14 @@ def test_outside_the_cube_the_nearest_point_answers():
 def test_bad_shapes_are_refused(wrong):
     with pytest.raises(ConfigurationError, match=next(iter(wrong))):
         HashGridConfig(**wrong)
+
+
+@pytest.mark.parametrize("config", [DENSE, HASHED])
+def test_lattice_path_equals_points(config):
+    grid = made(config)
+    lateral, axial = torch.linspace(-1.2, 1, 7, dtype=torch.float64), torch.tensor([0.9, -0.3, 0.1]).double()
+    bscan = torch.tensor([0.5, 0.5, -1.0]).double()
+    got = grid.forward_lattice(lateral, axial, bscan)
+    b, a, w = torch.meshgrid(bscan, axial, lateral, indexing="ij")
+    expected = grid(torch.stack((w, a, b), -1).reshape(-1, 3)).detach()
+    torch.testing.assert_close(got.reshape(-1, grid.width), expected, rtol=1e-12, atol=1e-12)
