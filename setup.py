@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs a link to this file
 # package.xml holds the one version number that ROS tools read; octn_ros.__version__ is tested against it.
 VERSION = ElementTree.parse(HERE / "package.xml").findtext("version")
 
