@@ -128,3 +128,14 @@ def test_a_forgotten_request_stays_open(nodes, spin_until):
     spin_until(other.done, node)
     assert len(served) == 2
     assert not future.done()
+
+
+def test_a_query_that_no_ros_client_sent_is_passed_over(nodes, spin_until):
+    node, foreign = nodes("alpha"), []
+    service = node.create_service(SetBool, "flip", flip)
+    node.context._open_bus().session.get(service._endpoint.key, lambda reply: foreign.append(reply))
+    client = node.create_client(SetBool, "flip")
+    future = client.call_async(SetBool.Request())
+    spin_until(future.done, node)
+    assert future.result().success
+    assert not foreign
