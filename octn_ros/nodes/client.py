@@ -124,6 +124,14 @@ class GraphClient:
             raise TimeoutError(f"service {name}: no answer after {timeout_s:g} s")
         return future.result()
 
+    def wait_for(self, happened: Callable[[], bool], timeout_s: float, what: str) -> None:
+        """Return once the graph is as awaited, a publisher of the client's own has met its subscriber for instance.
+
+        Raises:
+            TimeoutError: says `what` was not there.
+        """
+        _wait_graph(happened, timeout_s, f"{what}: not there")
+
     def watch(self, kind: Any, topic: str, profile: QoSProfile = qos.LATCHED) -> Watch[Any]:
         """Collect what is heard on a topic from now on, and its latched message if it has one."""
         subscription: list[Any] = []

@@ -60,9 +60,13 @@ def _lines(node: Node) -> Iterator[str]:
 
 
 def _scalar(value: Any) -> str:
-    if isinstance(value, (bool, int, float, str)):
-        return json.dumps(value)  # JSON's scalars are YAML's
-    return json.dumps(list(value))
+    if isinstance(value, float):
+        mantissa, exponent, power = repr(value).partition("e")
+        # Without a point some YAML readers take 5e-05 for a string.
+        return mantissa + (".0" if "." not in mantissa else "") + exponent + power
+    if isinstance(value, (bool, int, str)):
+        return json.dumps(value)
+    return f"[{', '.join(_scalar(item) for item in value)}]"
 
 
 if __name__ == "__main__":

@@ -1,0 +1,127 @@
+"""The small parts of the nodes that need no graph."""
+
+import threading
+
+import numpy as np
+import pytest
+import torch
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+from sensor_msgs.msg import Image
+
+from octn_ros.errors import ConfigurationError, PlanError
+from octn_ros.nodes import conversions, qos
+from octn_ros.nodes.bscan_pairs import BScanPairs
+from octn_ros.nodes.device import torch_device
+from octn_ros.nodes.frames import ScanFrames
+from octn_ros.nodes.pose_history import PoseHistory
+from octn_ros.nodes.worker import Worker
+from octn_ros.planning import from_translation_quaternion, load_calibration
+from octn_ros.resources import config_path
+
+WAIT_S = 20.0
+
+
+def test_the_worker_keeps_only_the_newest_waiting_job() -> None:
+    worker, go, done, order = Worker("test"), threading.Event(), threading.Event(), []
+    started = threading.Event()
+
+    def first(cancelled) -> None:
+        started.set()
+        go.wait(WAIT_S)
+        order.append("first")
+
+    assert not worker.submit(first)
+    assert started.wait(WAIT_S)
+    assert worker.submit(lambda cancelled: order.append("second"))
+    assert worker.submit(lambda cancelled: (order.append("third"), done.set()))
+    go.set()
+    assert done.wait(WAIT_S)
+    assert order == ["first", "third"]
+    worker.close(WAIT_S)
+
+
+def test_cancel_reaches_the_running_job_and_forgets_the_waiting_one() -> None:
+    worker, started, ended, ran = Worker("test"), threading.Event(), threading.Event(), []
+
+    def job(cancelled) -> None:
+        started.set()
+        while not cancelled():
+            pass
+        ended.set()
+
+    assert not worker.cancel()
+    worker.submit(job)
+    assert started.wait(WAIT_S)
+    worker.submit(lambda cancelled: ran.append(1))
+    assert worker.cancel()
+    assert ended.wait(WAIT_S)
+    worker.close(WAIT_S)
+    assert not ran
+
+
+def stamped(kind: type, stamp_ns: int) -> Image | PoseStamped:
+    return kind(header=conversions.header(stamp_ns, ""))
+
+
+def test_images_and_poses_meet_whichever_comes_first() -> None:
+    pairs = BScanPairs()
+    assert pairs.add_image(stamped(Image, 1)) is None
+    assert pairs.add_image(stamped(Image, 2)) is None
+    image, pose = pairs.add_pose(stamped(PoseStamped, 1))
+    assert image.header.stamp == pose.header.stamp
+    assert pairs.add_pose(stamped(PoseStamped, 3)) is None
+    image, _ = pairs.add_image(stamped(Image, 3))
+    assert conversions.stamp_to_ns(image.header.stamp) == 3
+    assert pairs.add_pose(stamped(PoseStamped, 2)) is None, "older than a complete pair: its image is forgotten"
+
+
+def test_the_pose_nearest_in_time_is_found_within_the_gap() -> None:
+    history = PoseHistory()
+    assert history.nearest(0, 1.0) is None
+    for second in range(5):
+        history.add(second * 10**9, np.full((4, 4), second))
+    assert history.nearest(2_400_000_000, 0.5)[0, 0] == 2
+    assert history.nearest(9 * 10**9, 0.5) is None
+
+
+def pose_in(frame: str, pose: np.ndarray) -> PoseStamped:
+    return conversions.matrix_to_pose_stamped(pose, 0, frame)
+
+
+def test_frames_lead_back_to_the_oct_frame() -> None:
+    calibration = load_calibration(config_path("calibration.yaml"))
+    ee2base = from_translation_quaternion((0.4, -0.1, 0.3), (0.0, 1.0, 0.0, 0.0))
+    pose = from_translation_quaternion((1e-3, 2e-3, 5e-4), (0.0, 0.0, 0.6, 0.8))
+    frames = ScanFrames(calibration, ee2base)
+    for frame, oct2frame in (
+        ("oct_optical_frame", np.eye(4)),
+        ("tool0", calibration.oct2ee),
+        ("base_link", ee2base @ calibration.oct2ee),
+    ):
+        np.testing.assert_allclose(frames.to_oct(pose_in(frame, oct2frame @ pose)), pose, atol=1e-12)
+
+
+def test_a_frame_nobody_knows_is_refused_with_those_that_are_known() -> None:
+    frames = ScanFrames(load_calibration(config_path("calibration.yaml")))
+    with pytest.raises(PlanError, match=r"oct_optical_frame, tool0, got frame_id 'map'$"):
+        frames.to_oct(pose_in("map", np.eye(4)))
+    with pytest.raises(PlanError, match="scan_ee_pose"):
+        frames.to_oct(pose_in("base_link", np.eye(4)))
+
+
+def test_devices_are_checked() -> None:
+    assert torch_device("cpu") == torch.device("cpu")
+    assert torch_device("auto").type in ("cpu", "cuda")
+    with pytest.raises(ConfigurationError, match="abacus"):
+        torch_device("abacus")
+
+
+def test_profiles() -> None:
+    assert qos.LATCHED.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert qos.LATCHED.depth == 1
+    for profile in (qos.LATCHED, qos.STREAM, qos.scan_profile(4)):
+        assert profile.reliability == ReliabilityPolicy.RELIABLE
+        assert profile.history == HistoryPolicy.KEEP_LAST
+    assert qos.scan_profile(5000).depth == 5000
+    assert qos.scan_profile(0).depth >= 512
