@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -21,6 +22,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: the arguments without the program's name; those of the process if None.
     """
+    # Read when torch loads. OpenMP's threads otherwise spin while they wait for each other, and on a machine that is
+    # busy with other things as well, a fit on two cores then takes tens of times as long.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     try:
         arguments = _parser().parse_args(argv)
     except SystemExit as stop:  # --help, --version or a bad argument; argparse has said what there is to say

@@ -73,7 +73,7 @@ class FitPoint:
 
 
 def enface_picture(enface: NDArray[np.floating], geometry: VolumeGeometry, path: PathPicture) -> bytes:
-    """Draw the view from above, bare and with the raster coloured by depth.
+    """Draw the view from above with its grey levels stretched, bare and with the raster coloured by depth.
 
     Args:
         enface: intensity [bscan, lateral], 0 to 1.
@@ -83,8 +83,9 @@ def enface_picture(enface: NDArray[np.floating], geometry: VolumeGeometry, path:
     x0, x1, y0, y1, _, _ = _edges_mm(geometry)
     with _figure(WIDTH_IN, _height(2, (x1 - x0), (y1 - y0), colour_bars=1)) as figure:
         bare, planned = figure.subplots(1, 2, sharex=True, sharey=True)
+        black, white = np.quantile(enface, (0.005, 0.998))
         for axes in (bare, planned):
-            axes.imshow(enface, cmap="gray", extent=(x0, x1, y1, y0), interpolation="nearest", vmin=0)
+            axes.imshow(enface, cmap="gray", extent=(x0, x1, y1, y0), interpolation="nearest", vmin=black, vmax=white)
             axes.set_xlabel("lateral x (mm)")
         bare.set_ylabel("bscan y (mm)")
         bare.set_title("En face, maximum along depth")
@@ -188,27 +189,36 @@ def surface_picture(
 ) -> bytes:
     """Draw the surface of the field (eq. 3) in three dimensions, to scale, with the laser path over it.
 
+    The surface is left out where it lies far above or below the path: it is not the one that the path is on.
+
     Args:
         depth_mm: surface depth [bscan, lateral], NaN where there is none.
         lateral_mm: x of the columns [lateral].
         bscan_mm: y of the rows [bscan].
         path: the waypoints.
     """
-    with _figure(WIDTH_IN, 6.0) as figure:
+    with _figure(WIDTH_IN, 5.2) as figure:
         axes = figure.add_subplot(projection="3d", computed_zorder=False)
         x, y = np.meshgrid(lateral_mm, bscan_mm)
-        axes.plot_surface(x, y, depth_mm, color="#d9dde3", edgecolor="none", alpha=0.95, rcount=80, ccount=80, zorder=1)
+        low, high = _depth_limits(depth_mm, path)
+        shown = np.where((depth_mm >= low) & (depth_mm <= high), depth_mm, np.nan)
+        surface = axes.plot_surface(
+            x, y, shown, color="#d9dde3", edgecolor="none", alpha=0.95, rcount=80, ccount=80, zorder=1
+        )
+        surface.set_clip_on(False)  # the box reaches beyond the square that 3D axes are given
         pieces, depth = path.lines()
         if len(pieces):
             lines = Line3DCollection(list(pieces), cmap=DEPTH_COLOURS, linewidths=1.0, zorder=2)
             lines.set_array(depth)
+            lines.set_clip_on(False)
             axes.add_collection3d(lines, autolim=False)
-            figure.colorbar(lines, ax=axes, label="depth z (mm)", shrink=0.5, pad=0.02)
-        low, high = _depth_limits(depth_mm, path)
+            figure.colorbar(lines, ax=axes, label="depth z (mm)", shrink=0.6, pad=0.09)
         axes.set_xlim(lateral_mm[0], lateral_mm[-1])
         axes.set_ylim(bscan_mm[0], bscan_mm[-1])
         axes.set_zlim(high, low)  # depth grows into the tissue, away from the probe above
-        axes.set_box_aspect((np.ptp(lateral_mm), np.ptp(bscan_mm), high - low), zoom=1.2)
+        sides = np.array([np.ptp(lateral_mm), np.ptp(bscan_mm), high - low])
+        # A flat box leaves room above and below; a tall one needs it.
+        axes.set_box_aspect(sides, zoom=float(np.clip(1.4 - 0.6 * sides[2] / sides[:2].max(), 0.8, 1.25)))
         axes.set_xlabel("lateral x (mm)")
         axes.set_ylabel("bscan y (mm)")
         axes.set_zlabel("depth z (mm)")
@@ -281,7 +291,8 @@ def _height(panels: int, width: float, height: float, colour_bars: int, legend: 
 def _on_bscan(path: PathPicture, y_mm: float, spacing_mm: float) -> NDArray[np.bool_]:
     if not len(path.points_mm):
         return np.zeros(0, dtype=bool)
-    return np.asarray(np.abs(path.points_mm[:, 1] - y_mm) <= spacing_mm / 2)
+    # A line may lie exactly half-way between two B-scans, give or take the last digit.
+    return np.asarray(np.abs(path.points_mm[:, 1] - y_mm) <= 0.501 * spacing_mm)
 
 
 def _legend_below(figure: Figure, axes: Axes) -> None:
@@ -308,10 +319,10 @@ def _colour_bar(figure: Figure, mapped: ScalarMappable, axes: Axes, label: str) 
 
 
 def _depth_limits(depth_mm: NDArray[np.floating], path: PathPicture) -> tuple[float, float]:
-    """Depth range that holds the path and all but the stray hundredth of the surface."""
-    depths = depth_mm[np.isfinite(depth_mm)]
-    low, high = np.quantile(depths, (0.005, 0.995)) if depths.size else (0.0, 1.0)
-    if len(path.points_mm):
-        low, high = min(low, path.points_mm[:, 2].min()), max(high, path.points_mm[:, 2].max())
-    margin = 0.05 * (high - low) + 1e-3
+    """Depth range of the path and its surroundings; without a path, of all but the stray hundredth of the surface."""
+    depths = path.points_mm[:, 2]
+    if not len(depths):
+        depths = depth_mm[np.isfinite(depth_mm)]
+    low, high = np.quantile(depths, (0.005, 0.995)) if len(depths) else (0.0, 1.0)
+    margin = 0.5 * (high - low) + 0.05
     return float(low - margin), float(high + margin)

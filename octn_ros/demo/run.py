@@ -107,14 +107,15 @@ def _pictures(source: ScanSource, record: SessionRecord, assessment: Assessment)
     drawn = [
         ReportPicture(
             "View from above",
-            "The largest intensity of each A-scan of the measured volume, and over it the planned raster, coloured by "
-            "the depth at which the surface was found.",
+            "The largest intensity of each A-scan of the measured volume, grey levels stretched, and over it the "
+            "planned raster, coloured by the depth at which the surface was found.",
             pictures.enface_picture(enface(volume), geometry, path),
         ),
         ReportPicture(
             "A B-scan, measured and from the field",
             "To scale; depth is the optical path from the first axial voxel. The waypoints are those whose raster line "
-            "lies within half a B-scan of this one. The difference is speckle that the field has left out.",
+            "lies within half a B-scan of this one. The difference is speckle that the field leaves out and, at edges, "
+            "what it blurs.",
             pictures.bscan_picture(
                 measured, render_bscans(field, shown)[0], geometry, index, path, _true_surface_mm(source, index)
             ),
@@ -128,7 +129,8 @@ def _pictures(source: ScanSource, record: SessionRecord, assessment: Assessment)
         ),
         ReportPicture(
             "The surface and the path",
-            "The surface of the fitted field by its largest axial rise (eq. 3), to scale, with the laser path over it.",
+            "The surface of the fitted field by its largest axial rise (eq. 3), to scale, with the laser path over it. "
+            "It is left out where it lies far above or below the path.",
             pictures.surface_picture(surface.depth_m * 1e3, surface.lateral_m * 1e3, surface.bscan_m * 1e3, path),
         ),
     ]

@@ -33,3 +33,15 @@ def unstated_file(tmp_path):
     path = tmp_path / "unstated.nii"
     nibabel.save(nibabel.Nifti1Image(layered(), np.eye(4)), path)
     return path
+
+
+@pytest.fixture(scope="session")
+def field_file(tmp_path_factory):
+    """A field fitted to the scan, well enough to have its surface."""
+    from octn_ros.cli import main
+
+    folder = tmp_path_factory.mktemp("field")
+    save_volume(folder / "scan.nii", Volume.from_array(layered(), SPACING_M))
+    field = folder / "field.safetensors"
+    assert main(["fit", str(folder / "scan.nii"), "-o", str(field), "--steps", "80", "--device", "cpu", "--json"]) == 0
+    return field
