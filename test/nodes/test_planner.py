@@ -1,0 +1,108 @@
+"""Planner and query alone: fields and poses that are not what they should be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseStamped
+from nav_msgs.srv import GetPlan
+from sensor_msgs.msg import CompressedImage
+
+from octn_ros.errors import CalibrationError
+from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig, dumps_field, field_hash
+from octn_ros.nodes import conversions, qos, status
+from octn_ros.nodes.planner import Planner
+from octn_ros.nodes.query import Query
+from octn_ros.planning import from_translation_quaternion
+from octn_ros.simulation import PhantomConfig, make_phantom
+from octn_ros.training import FitConfig, fit
+
+TIMEOUT_S = 30.0
+STAMP_NS = 3_000_000_000
+OCT = "oct_optical_frame"
+
+
+@pytest.fixture(scope="module")
+def field_data() -> bytes:
+    """A field that has hardly been fitted: enough to be received, not to plan on."""
+    small = NeuralFieldConfig(HashGridConfig(levels=2, log2_table_size=8), NetworkConfig(hidden_layers=1, neurons=8))
+    volume = make_phantom(PhantomConfig(shape=(4, 24, 16), surface="flat")).volume
+    return dumps_field(fit(volume, FitConfig(field=small, steps=2, batch=64)).field, half=True)
+
+
+class Bench:
+    """Planner and query, and a client that plays the trainer."""
+
+    def __init__(self, spin: Callable[..., Any], client: Any) -> None:
+        self.client = client
+        self.status = client.watch(DiagnosticArray, "plan_status")
+        self.waypoints = client.watch(PoseArray, "waypoints")
+        self.field = client.node.create_publisher(CompressedImage, "field", qos.LATCHED)
+        self.scan_ee_pose = client.node.create_publisher(PoseStamped, "scan_ee_pose", qos.LATCHED)
+        spin(Planner, device="cpu")
+        spin(Query, device="cpu")
+
+    def ask(self, service: str, frame: str = OCT, tolerance: float = 0.0) -> Any:
+        request = GetPlan.Request(tolerance=tolerance)
+        request.start.header.frame_id = request.goal.header.frame_id = frame
+        request.start.pose.position.x, request.start.pose.position.y = 2e-5, 2e-5
+        request.goal.pose.position.x, request.goal.pose.position.y = 1e-4, 6e-5
+        return self.client.call(GetPlan, service, request, TIMEOUT_S).plan
+
+    def until(self, *words: str) -> dict[str, str]:
+        message = self.status.wait(TIMEOUT_S, lambda message: all(word in status.read(message)[1] for word in words))
+        return status.read(message)[2]
+
+
+def test_a_message_that_is_no_field_is_refused_and_the_last_field_kept(
+    spin: Callable[..., Any], client: Any, field_data: bytes
+) -> None:
+    bench = Bench(spin, client)
+    bench.field.publish(CompressedImage(format="jpeg"))
+    bench.until("field refused", "jpeg")
+    bench.field.publish(conversions.to_field_message(field_data[:-10], STAMP_NS, OCT))
+    assert bench.until("field refused", "kept")["state"] == "refused"
+    assert not bench.ask("plan_raster").poses
+    assert not bench.ask("query_surface").poses
+    bench.until("plan_raster refused", "none yet")
+    bench.field.publish(conversions.to_field_message(field_data, STAMP_NS, OCT))
+    ready = bench.until("ready to plan")
+    assert ready == {"state": "ready", "stamp_ns": str(STAMP_NS), "field_hash": field_hash(field_data)}
+    bench.field.publish(CompressedImage(format="png"))
+    bench.until("field refused", "png")
+    assert not bench.ask("plan_raster", frame="map").poses
+    bench.until("plan_raster refused", "'map'")
+    assert not bench.waypoints.messages
+
+
+def test_the_base_frame_is_known_only_with_the_pose_of_the_same_scan(
+    spin: Callable[..., Any], client: Any, field_data: bytes
+) -> None:
+    bench = Bench(spin, client)
+    pose = from_translation_quaternion((0.4, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0))
+    for stamp_ns, frame in ((STAMP_NS - 1, "base_link"), (STAMP_NS, "map")):
+        bench.scan_ee_pose.publish(conversions.matrix_to_pose_stamped(pose, stamp_ns, frame))
+    bench.field.publish(conversions.to_field_message(field_data, STAMP_NS, OCT))
+    bench.until("ready to plan")
+    assert not bench.ask("plan_raster", frame="base_link").poses
+    bench.until("base_link", "scan_ee_pose", "not known")
+
+
+def test_a_query_for_too_many_samples_is_refused(spin: Callable[..., Any], client: Any, field_data: bytes) -> None:
+    bench = Bench(spin, client)
+    bench.field.publish(conversions.to_field_message(field_data, STAMP_NS, OCT))
+    bench.until("ready to plan")
+    for tolerance in (1e-12, -1.0, float("nan")):
+        assert not bench.ask("query_surface", tolerance=tolerance).poses
+
+
+def test_a_calibration_that_is_not_rigid_ends_the_start(spin: Callable[..., Any], tmp_path: Any) -> None:
+    path = tmp_path / "calibration.yaml"
+    mirrored = "[[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
+    path.write_text(f"units: m\noct2ee: {mirrored}\nlaser2ee: {mirrored}\n", encoding="utf-8")
+    for kind in (Planner, Query):
+        with pytest.raises(CalibrationError, match="orthonormal"):
+            spin(kind, calibration=str(path))
