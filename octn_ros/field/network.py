@@ -35,9 +35,9 @@ class Network(nn.Module):
         for _ in range(config.hidden_layers):
             layers += [nn.Linear(width, config.neurons), nn.ReLU()]
             width = config.neurons
-        layers.append(nn.Linear(width, 1))
-        self.layers = nn.Sequential(*layers)
+        self.hidden = nn.Sequential(*layers)
+        self.output = nn.Linear(width, 1)
 
     def forward(self, features: Tensor) -> Tensor:
         """Map features [N, inputs] to intensities [N]; not clipped to [0, 1]."""
-        return self.layers(features).squeeze(-1)
+        return self.output(self.hidden(features)).squeeze(-1)

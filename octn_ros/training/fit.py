@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import torch
+from torch import nn
 
 from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, NeuralField, NeuralModel
@@ -143,7 +144,10 @@ def _seeded_model(config: FitConfig, volume: Volume) -> NeuralModel:
     # Parameters are drawn by torch's global generator; fork it, so that a fit leaves the caller's random state alone.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        return NeuralModel(config.field, volume.geometry.shape)
+        model = NeuralModel(config.field, volume.geometry.shape)
+    # Start from the volume's mean: the first steps then go into tissue instead of into a constant.
+    nn.init.constant_(model.network.output.bias, float(volume.normalized().mean()))
+    return model
 
 
 def _fraction(config: FitConfig, step: int, seconds: float) -> float:
