@@ -56,7 +56,7 @@ setup(
         "torch>=2.4",  # Adam fused on the CPU
     ],
     extras_require={"embedded": EMBEDDED, "test": TEST},
-    zip_safe=True,
+    zip_safe=False,  # the embedded runtime is loaded from files of the package
     entry_points={
         "console_scripts": [
             "octn = octn_ros.cli:main",
