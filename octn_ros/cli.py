@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(stop.code or 0)
     name = f"octn {arguments.command}"
     try:
-        return arguments.read(arguments).run()  # type: ignore[no-any-return]
+        return arguments.read(arguments).run()
     except OctnError as error:
         print(f"{name}: error: {_one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT

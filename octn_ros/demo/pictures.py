@@ -6,41 +6,22 @@ drawn to scale, in millimetres of the OCT frame; depth is the optical path from 
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
+from octn_ros.demo import canvas
+from octn_ros.demo.canvas import INK
 from octn_ros.volume.geometry import VolumeGeometry
 
-DOTS_PER_INCH = 150
-WIDTH_IN = 10.0
 DEPTH_COLOURS = "viridis"
-INK, BLUE, ORANGE, RED = "#22262b", "#1f5fa8", "#c8641b", "#c22b2b"
-STYLE = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "text.color": INK,
-    "axes.edgecolor": "#8a9099",
-    "axes.labelcolor": INK,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "axes.linewidth": 0.8,
-    "xtick.color": "#555b63",
-    "ytick.color": "#555b63",
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-}
+BLUE, ORANGE, RED = "#1f5fa8", "#c8641b", "#c22b2b"
 
 
 @dataclass(frozen=True)
@@ -80,8 +61,8 @@ def enface_picture(enface: NDArray[np.floating], geometry: VolumeGeometry, path:
         geometry: of the volume it was taken from.
         path: the waypoints.
     """
-    x0, x1, y0, y1, _, _ = _edges_mm(geometry)
-    with _figure(WIDTH_IN, _height(2, (x1 - x0), (y1 - y0), colour_bars=1)) as figure:
+    x0, x1, y0, y1, _, _ = canvas.edges_mm(geometry)
+    with canvas.figure(canvas.WIDTH_IN, canvas.height_in(2, (x1 - x0), (y1 - y0), colour_bars=1)) as figure:
         bare, planned = figure.subplots(1, 2, sharex=True, sharey=True)
         black, white = np.quantile(enface, (0.005, 0.998))
         for axes in (bare, planned):
@@ -100,8 +81,8 @@ def enface_picture(enface: NDArray[np.floating], geometry: VolumeGeometry, path:
                 loc="upper right", ncols=2, frameon=True, facecolor="white", edgecolor="none", framealpha=0.85
             )
         planned.set_title(f"Raster, {len(path.points_mm)} waypoints")
-        _colour_bar(figure, lines, planned, "depth z (mm)")
-        return _png(figure)
+        canvas.colour_bar(figure, lines, planned, "depth z (mm)")
+        return canvas.png(figure)
 
 
 def bscan_picture(
@@ -122,11 +103,13 @@ def bscan_picture(
         path: the waypoints; those within half a B-scan (or half a raster line) of this one are drawn.
         surface_mm: the true depth at each lateral voxel [lateral], NaN where unknown, or None.
     """
-    x0, x1, _, _, z0, z1 = _edges_mm(geometry)
+    x0, x1, _, _, z0, z1 = canvas.edges_mm(geometry)
     y = (geometry.origin_m[1] + index * geometry.spacing_m[0]) * 1e3
     near = path.points_mm[_on_bscan(path, y, geometry.spacing_m[0] * 1e3)]
     lateral = (geometry.origin_m[0] + np.arange(geometry.shape[2]) * geometry.spacing_m[2]) * 1e3
-    with _figure(WIDTH_IN, _height(3, (x1 - x0), (z1 - z0), colour_bars=2, legend=0.3)) as figure:
+    with canvas.figure(
+        canvas.WIDTH_IN, canvas.height_in(3, (x1 - x0), (z1 - z0), colour_bars=2, legend_in=0.3)
+    ) as figure:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         extent = (x0, x1, z1, z0)
         grey = panels[0].imshow(measured, cmap="gray", extent=extent, vmin=0, vmax=1, interpolation="nearest")
@@ -149,14 +132,14 @@ def bscan_picture(
             axes.set_ylim(z1, z0)
         panels[0].set_ylabel("depth z (mm)")
         _legend_below(figure, panels[0])
-        _colour_bar(figure, grey, panels[1], "intensity (0 to 1)")
-        _colour_bar(figure, signed, panels[2], "difference of intensity")
-        return _png(figure)
+        canvas.colour_bar(figure, grey, panels[1], "intensity (0 to 1)")
+        canvas.colour_bar(figure, signed, panels[2], "difference of intensity")
+        return canvas.png(figure)
 
 
 def fit_picture(history: Sequence[FitPoint]) -> bytes:
     """Draw PSNR and loss against time, with the two stages of Algorithm 1 marked."""
-    with _figure(WIDTH_IN, 3.6) as figure:
+    with canvas.figure(canvas.WIDTH_IN, 3.6) as figure:
         axes = figure.subplots()
         loss_axes = axes.twinx()
         seconds = [point.seconds for point in history]
@@ -178,7 +161,7 @@ def fit_picture(history: Sequence[FitPoint]) -> bytes:
             )  # fmt: skip
         if history:
             axes.set_xlim(0, max(seconds[-1], 1e-3))
-        return _png(figure)
+        return canvas.png(figure)
 
 
 def surface_picture(
@@ -197,7 +180,7 @@ def surface_picture(
         bscan_mm: y of the rows [bscan].
         path: the waypoints.
     """
-    with _figure(WIDTH_IN, 5.2) as figure:
+    with canvas.figure(canvas.WIDTH_IN, 5.2) as figure:
         axes = figure.add_subplot(projection="3d", computed_zorder=False)
         x, y = np.meshgrid(lateral_mm, bscan_mm)
         low, high = _depth_limits(depth_mm, path)
@@ -224,7 +207,7 @@ def surface_picture(
         axes.set_zlabel("depth z (mm)")
         axes.locator_params(axis="z", nbins=4)
         axes.view_init(elev=32, azim=-58)
-        return _png(figure)
+        return canvas.png(figure)
 
 
 def error_picture(points_mm: NDArray[np.floating], error_um: NDArray[np.floating]) -> bytes:
@@ -235,7 +218,7 @@ def error_picture(points_mm: NDArray[np.floating], error_um: NDArray[np.floating
         error_um: depth minus true depth [N], micrometres.
     """
     width, height = np.ptp(points_mm[:, :2], axis=0) if len(points_mm) else (1.0, 1.0)
-    with _figure(WIDTH_IN, _height(2, width, height, colour_bars=1)) as figure:
+    with canvas.figure(canvas.WIDTH_IN, canvas.height_in(2, width, height, colour_bars=1)) as figure:
         over, counts = figure.subplots(1, 2)
         limit = max(float(np.quantile(np.abs(error_um), 0.99)), 1e-3) if len(error_um) else 1.0
         dots = over.scatter(
@@ -246,7 +229,7 @@ def error_picture(points_mm: NDArray[np.floating], error_um: NDArray[np.floating
         over.set_xlabel("lateral x (mm)")
         over.set_ylabel("bscan y (mm)")
         over.set_title("Waypoint depth minus true depth")
-        _colour_bar(figure, dots, over, "depth error (um)")
+        canvas.colour_bar(figure, dots, over, "depth error (um)")
         counts.hist(np.clip(error_um, -2 * limit, 2 * limit), bins=60, color=BLUE)
         counts.axvline(0, color=INK, linewidth=0.8)
         counts.set_xlabel("depth error (um)")
@@ -254,38 +237,7 @@ def error_picture(points_mm: NDArray[np.floating], error_um: NDArray[np.floating
         counts.set_title("Its distribution")
         counts.spines[["top", "right"]].set_visible(False)
         counts.set_box_aspect(height / width if height and width else 1.0)
-        return _png(figure)
-
-
-@contextmanager
-def _figure(width_in: float, height_in: float) -> Iterator[Figure]:
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width_in, height_in), dpi=DOTS_PER_INCH, layout="constrained")
-        FigureCanvasAgg(figure)
-        yield figure
-
-
-def _png(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", facecolor="white")
-    return stream.getvalue()
-
-
-def _edges_mm(geometry: VolumeGeometry) -> tuple[float, float, float, float, float, float]:
-    """Outer voxel edges (x0, x1, y0, y1, z0, z1): pictures cover whole voxels, coordinates are their centres."""
-    (d, h, w), (x, y, z) = geometry.spacing_m, geometry.origin_m
-    extent_x, extent_y, extent_z = geometry.extent_m
-    return (
-        (x - w / 2) * 1e3, (x + extent_x + w / 2) * 1e3,
-        (y - d / 2) * 1e3, (y + extent_y + d / 2) * 1e3,
-        (z - h / 2) * 1e3, (z + extent_z + h / 2) * 1e3,
-    )  # fmt: skip
-
-
-def _height(panels: int, width: float, height: float, colour_bars: int, legend: float = 0.0) -> float:
-    """Figure height in inches at which panels of this aspect fill the width, within what a page bears."""
-    panel = (WIDTH_IN - 0.7 - 0.75 * colour_bars - 0.2 * panels) / panels
-    return float(np.clip(panel * height / width, 1.0, 6.0)) + 0.85 + legend
+        return canvas.png(figure)
 
 
 def _on_bscan(path: PathPicture, y_mm: float, spacing_mm: float) -> NDArray[np.bool_]:
@@ -311,11 +263,6 @@ def _stages(history: Sequence[FitPoint]) -> list[tuple[str, float, float]]:
             begin = stages[-1][2] if stages else 0.0
             stages.append((point.stage, begin, point.seconds))
     return stages
-
-
-def _colour_bar(figure: Figure, mapped: ScalarMappable, axes: Axes, label: str) -> None:
-    """Add a colour bar exactly as high as the picture beside it."""
-    figure.colorbar(mapped, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
 
 
 def _depth_limits(depth_mm: NDArray[np.floating], path: PathPicture) -> tuple[float, float]:

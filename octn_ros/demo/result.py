@@ -31,6 +31,7 @@ class DemoResult:
         max_error_um: largest distance.
         method: how the surface was looked for, in words.
         executed: laser shots of the arm.
+        arm_time_factor: seconds of the arm's time per second of the clock.
         field_hash: identity of the field on the wire.
         report: the report that was written.
         seconds: duration of each part of the run.
@@ -56,6 +57,7 @@ class DemoResult:
     max_error_um: float | None
     method: str
     executed: int
+    arm_time_factor: float
     field_hash: str
     report: str | None
     seconds: dict[str, float]
@@ -81,7 +83,7 @@ class DemoResult:
             ("  spread about it (RMS)", _with_unit(self.spread_um, "um", 1)),
             ("  largest", _with_unit(self.max_error_um, "um", 1)),
             ("surface search", self.method),
-            ("executed shots", f"{self.executed}"),
+            ("executed shots", f"{self.executed}, the arm's time running {self.arm_time_factor:g} times as fast"),
             ("run", _durations(self.seconds)),
         ]
 

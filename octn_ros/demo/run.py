@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from octn_ros import __version__, embedded
 from octn_ros.demo import pictures
 from octn_ros.demo.assessment import Assessment, assess, render_bscans
+from octn_ros.demo.graph import DemoError
 from octn_ros.demo.pictures import PathPicture
 from octn_ros.demo.report import ReportPicture, render_report
 from octn_ros.demo.result import DemoResult
@@ -40,8 +41,8 @@ def run_demo(
         seconds: durations of what was done before.
 
     Raises:
-        OctnError: a node refused, failed or did not answer in time, or a parameter is not allowed.
-        OSError: the report cannot be written.
+        OctnError: a node refused, failed or did not answer in time, a parameter is not allowed, or the report cannot be
+            written.
     """
     record = run_session(source, fit_parameters, show)
     watch = Stopwatch({**seconds, **record.seconds})
@@ -60,7 +61,10 @@ def run_demo(
         _configuration(source, record, fit_parameters),
         _versions(),
     )
-    path.write_text(page, encoding="utf-8")
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise DemoError(f"{path}: cannot write the report: {error.strerror or error}") from error
     return result
 
 
@@ -89,6 +93,7 @@ def _result(
         max_error_um=distance.max_um if distance else None,
         method=record.plan["method"],
         executed=int(record.execution["shots"]),
+        arm_time_factor=TIME_FACTOR,
         field_hash=record.field_hash,
         report=report,
         seconds=seconds,
@@ -157,7 +162,7 @@ def _true_surface_mm(source: ScanSource, index: int) -> NDArray[np.float64] | No
         return None
     (_, _, laterals), (d, _, w) = source.volume.geometry.shape, source.volume.geometry.spacing_m
     x, y, _ = source.volume.geometry.origin_m
-    lateral = x + np.arange(laterals) * w
+    lateral = np.asarray(x + np.arange(laterals) * w, dtype=np.float64)
     return source.surface_depth_m(lateral, np.full(laterals, y + index * d)) * 1e3
 
 

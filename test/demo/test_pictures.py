@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from octn_ros.demo import pictures
+from octn_ros.demo import canvas, pictures
 from octn_ros.demo.pictures import FitPoint, PathPicture
 from octn_ros.volume import VolumeGeometry
 
@@ -61,7 +61,7 @@ def test_the_fit_curve_takes_both_stages_one_or_none():
     both = [FitPoint(0.25 * k, 0.1 / k, 10 + k, "hybrid" if k < 5 else "discrete") for k in range(1, 10)]
     for history in (both, both[:1], []):
         image = opened(pictures.fit_picture(history))
-        assert image.width == pictures.WIDTH_IN * pictures.DOTS_PER_INCH
+        assert image.width == canvas.WIDTH_IN * canvas.DOTS_PER_INCH
 
 
 def test_the_surface_below_a_waypoint_lies_within_the_depths_shown():

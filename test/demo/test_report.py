@@ -50,6 +50,7 @@ def made_result(**changes):
         "max_error_um": 31.0,
         "method": "Newton",
         "executed": 3700,
+        "arm_time_factor": 20.0,
         "field_hash": "0123456789abcdef",
         "report": "report.html",
         "seconds": {"scan": 2.0, "fit": 30.0},
