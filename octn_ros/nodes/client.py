@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from octn_ros.nodes import qos
+from octn_ros.nodes.background import BackgroundSpin
 
 Message = TypeVar("Message")
 
@@ -83,8 +83,7 @@ class GraphClient:
         self._clients: dict[str, Any] = {}
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
-        self._thread.start()
+        self._spin = BackgroundSpin(self._executor, name)
 
     def __enter__(self) -> GraphClient:
         return self
@@ -96,8 +95,8 @@ class GraphClient:
 
     def close(self) -> None:
         """Leave the graph."""
+        self._spin.stop()
         self._executor.shutdown()
-        self._thread.join()
         self.node.destroy_node()
 
     def call(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
@@ -138,10 +137,6 @@ class GraphClient:
         watch: Watch[Any] = Watch(topic, lambda: subscription[0].get_publisher_count())
         subscription.append(self.node.create_subscription(kind, topic, watch.add, profile))
         return watch
-
-    def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
 
 
 def _wait_graph(happened: Callable[[], bool], timeout_s: float, otherwise: str) -> None:

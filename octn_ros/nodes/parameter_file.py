@@ -31,6 +31,7 @@ _HEAD = """\
 # come from the preset, so they are commented out here: take the # away to fix one whatever the preset.
 """
 _OF_PRESET = "fit."
+_OF_RCLPY = ("use_sim_time", "start_type_description_service")
 
 
 def parameter_file() -> str:
@@ -48,7 +49,7 @@ def parameter_file() -> str:
 def _lines(node: Node) -> Iterator[str]:
     names = sorted(node.get_parameters_by_prefix(""), key=lambda name: (name.count("."), name))
     for name in names:
-        if name == "use_sim_time" or name.startswith("qos_overrides"):
+        if name in _OF_RCLPY or name.startswith("qos_overrides"):
             continue
         descriptor = node.describe_parameter(name)
         notes = [descriptor.description, descriptor.additional_constraints]

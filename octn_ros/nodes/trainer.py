@@ -135,8 +135,7 @@ class Trainer(Node):
             self._drop(f"C-scan dropped: {error}")
             return
         if volume is not None:
-            gap_s = self._config.config().largest_pose_gap_s
-            self._accept(Scan(volume, self._poses.nearest(volume.stamp_ns, gap_s), self._base_frame))
+            self._accept(volume)
 
     def _drop(self, reason: str) -> None:
         """Report why a B-scan was not taken; the same reason for the next hundreds of them is said once a second."""
@@ -189,8 +188,7 @@ class Trainer(Node):
         except MemoryError:
             self._progress.report(status.ERROR, "load_cscan refused: the file is too large", {"state": "refused"})
             return response
-        gap_s = self._config.config().largest_pose_gap_s
-        self._accept(Scan(volume, self._poses.nearest(volume.stamp_ns, gap_s), self._base_frame))
+        self._accept(volume)
         response.result = LoadMap.Response.RESULT_SUCCESS
         return response
 
@@ -209,9 +207,10 @@ class Trainer(Node):
 
     # --- fits
 
-    def _accept(self, scan: Scan) -> None:
-        self._scan = scan
-        volume = scan.volume
+    def _accept(self, volume: Volume) -> None:
+        # Both now and after the fit: now the pose is remembered for certain, later the nearest one has come.
+        scan = self._scan = Scan(volume, None, "")
+        scan = self._place(scan)
         self._enface.publish(conversions.to_grid(enface(volume), volume.geometry, volume.stamp_ns))
         self._start_fit(scan)
 
@@ -248,14 +247,25 @@ class Trainer(Node):
         if not self.context.ok():
             return
         # The pose goes first, so that whoever gets the field can already place it.
-        if scan.ee2base is not None:
-            self._scan_ee_pose.publish(conversions.matrix_to_pose_stamped(scan.ee2base, stamp_ns, scan.base_frame))
+        placed = self._place(scan)
+        if placed.ee2base is not None:
+            self._scan_ee_pose.publish(conversions.matrix_to_pose_stamped(placed.ee2base, stamp_ns, placed.base_frame))
         self._field.publish(conversions.to_field_message(data, stamp_ns, scan.volume.geometry.frame))
         self._progress.report(
             status.OK,
             f"field fitted in {result.seconds:.1f} s: {result.steps} steps, PSNR {result.psnr_db:.2f} dB",
             {"state": "done", **figures, "field_hash": field_hash(data), "field_bytes": len(data)},
         )
+
+    def _place(self, scan: Scan) -> Scan:
+        """Return the scan with the pose nearest to it; it may have come after the last B-scan, by another topic."""
+        pose = self._poses.nearest(scan.volume.stamp_ns, self._config.config().largest_pose_gap_s)
+        if pose is None:
+            return scan
+        placed = dataclasses.replace(scan, ee2base=pose, base_frame=self._base_frame)
+        if self._scan is scan:
+            self._scan = placed
+        return placed
 
     def _report(self, progress: FitProgress, stamp_ns: int) -> None:
         values = {"state": "fitting", "stamp_ns": stamp_ns, **dataclasses.asdict(progress)}

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -53,17 +51,14 @@ def client(ros: None) -> Iterator[Any]:
 @pytest.fixture
 def spin(ros: None) -> Iterator[Callable[..., Any]]:
     """Make nodes with parameters, and spin them until the test ends."""
-    from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+    from rclpy.executors import MultiThreadedExecutor
     from rclpy.parameter import Parameter
 
+    from octn_ros.nodes.background import BackgroundSpin
+
     executor = MultiThreadedExecutor(num_threads=4)
+    background = BackgroundSpin(executor, "nodes")
     nodes: list[Any] = []
-
-    def work() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-
-    thread = threading.Thread(target=work, daemon=True)
 
     def make(kind: Any, **parameters: Any) -> Any:
         """`search__newton_steps=3` sets `search.newton_steps`."""
@@ -72,13 +67,12 @@ def spin(ros: None) -> Iterator[Callable[..., Any]]:
         )
         nodes.append(node)
         executor.add_node(node)
-        if not thread.is_alive():
-            thread.start()
         return node
 
     yield make
-    executor.shutdown()
-    if thread.is_alive():
-        thread.join()
+    background.stop()
     for node in nodes:
+        executor.remove_node(node)
         node.destroy_node()
+    executor.shutdown()
+    assert background.fault is None
