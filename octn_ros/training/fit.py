@@ -78,8 +78,8 @@ def fit(
 ) -> FitResult:
     """Fit a neural field to a volume.
 
-    Runs in the calling thread; several fits may run in several threads. On the CPU the same seed gives the same field
-    as long as the fit ends by its step count and not by its time budget.
+    Runs in the calling thread; several fits may run in several threads. On the CPU the same seed gives the same field,
+    unless a time budget is set: learning rate and stages then follow the clock.
 
     Args:
         volume: the C-scan.

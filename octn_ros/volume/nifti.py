@@ -53,7 +53,7 @@ def load_volume(path: str | Path, spacing_um: tuple[float, float, float] | None 
     try:
         volume = Volume.from_array(
             array,
-            _spacing_m(path, image, spacing_um),
+            _spacing_m(image, spacing_um),
             intensity_range=tuple(stated["intensity_range"]) if "intensity_range" in stated else None,
             intensity_scale=stated.get("intensity_scale", "unknown"),
             origin_m=tuple(stated.get("origin_m", (0.0, 0.0, 0.0))),
@@ -98,15 +98,14 @@ def _read(path: Path) -> tuple[Any, NDArray[Any]]:
         return image, np.asanyarray(image.dataobj)
 
 
-def _spacing_m(path: Path, image: Any, spacing_um: tuple[float, float, float] | None) -> tuple[float, float, float]:
+def _spacing_m(image: Any, spacing_um: tuple[float, float, float] | None) -> tuple[float, float, float]:
     if spacing_um is not None:
         bscan, axial, lateral = (float(s) * 1e-6 for s in spacing_um)
         return bscan, axial, lateral
     unit = image.header.get_xyzt_units()[0]
     if unit not in _METRES_PER_UNIT:
         raise VolumeError(
-            f"{path}: the file does not state the unit of its spacing; "
-            "give it as --spacing-um BSCAN AXIAL LATERAL (micrometres)"
+            "the file does not state the unit of its spacing; give it as --spacing-um BSCAN AXIAL LATERAL (micrometres)"
         )
     bscan, axial, lateral = (float(z) * _METRES_PER_UNIT[unit] for z in image.header.get_zooms()[:3])
     return bscan, axial, lateral
