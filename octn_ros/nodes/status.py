@@ -35,6 +35,8 @@ class StatusTopic:
             values: named figures, numbers as plain text, lists and dicts as JSON.
             log: whether the message also goes to the log.
         """
+        if not self._node.context.ok():
+            return  # the graph is gone, and the log with it
         pairs = [KeyValue(key=key, value=_text(value)) for key, value in (values or {}).items()]
         status = DiagnosticStatus(level=level, name=self._name, message=message, hardware_id="octn_ros", values=pairs)
         report = DiagnosticArray(status=[status])
@@ -48,8 +50,7 @@ class StatusTopic:
                 logger.warning(message)
             else:
                 logger.error(message)
-        if self._node.context.ok():
-            self._publisher.publish(report)
+        self._publisher.publish(report)
 
 
 def read(message: DiagnosticArray) -> tuple[bytes, str, dict[str, str]]:

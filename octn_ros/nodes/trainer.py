@@ -34,7 +34,7 @@ from octn_ros.training import PRESETS, FitProgress, fit
 from octn_ros.volume import OCT_FRAME, IntensityScale, Volume, load_volume
 from octn_ros.volume.assembly import CScanAssembler
 
-EXIT_WAIT_S = 1.5  # a cancelled fit ends after its present step; longer than that nobody waits for it
+EXIT_WAIT_S = 0.5  # a cancelled fit ends after its present step; longer than that nobody waits for it
 
 
 @dataclass(frozen=True)

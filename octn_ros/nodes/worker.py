@@ -8,6 +8,15 @@ from collections.abc import Callable
 Job = Callable[[Callable[[], bool]], None]
 
 
+class _WorkerThread(threading.Thread):
+    """Told apart from the threads of others."""
+
+
+def any_working() -> bool:
+    """Return whether the thread of any worker of this process lives."""
+    return any(isinstance(thread, _WorkerThread) for thread in threading.enumerate())
+
+
 class Worker:
     """Runs jobs in a thread of its own; of those that wait, only the newest is kept.
 
@@ -20,7 +29,7 @@ class Worker:
         self._waiting: Job | None = None
         self._stop: threading.Event | None = None  # of the running job, None while idle
         self._closed = False
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread = _WorkerThread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     @property
