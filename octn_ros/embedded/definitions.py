@@ -95,12 +95,6 @@ def dds_name(name: str) -> str:
     return f"{package}::{kind}::dds_::{short}_"
 
 
-def ros_name(dds: str) -> str:
-    """Return the type name, e.g. ``std_msgs/msg/String``, for its name on the wire."""
-    package, kind, _, short = dds.split("::")
-    return f"{package}/{kind}/{short.removesuffix('_')}"
-
-
 @cache
 def type_hash(name: str) -> str:
     """Return the RIHS01 hash that ROS 2 Jazzy computes for a message or service type."""

@@ -15,18 +15,3 @@ class InvalidHandle(RuntimeError):
 def needs_ros2(name: str) -> NotImplementedError:
     """Return the error to raise for `name`, a part of rclpy that the embedded runtime does not have."""
     return NotImplementedError(f"{name} is not in the embedded runtime: it needs ROS 2, see https://docs.ros.org")
-
-
-def refuse_arguments(function: str, **given: object) -> None:
-    """Refuse arguments of rclpy that would have no effect here.
-
-    Args:
-        function: name of the function that got them.
-        given: arguments by name; None and False count as not given.
-
-    Raises:
-        NotImplementedError: for the first one that is given.
-    """
-    for name, value in given.items():
-        if value is not None and value is not False:
-            raise needs_ros2(f"argument '{name}' of {function}")

@@ -28,12 +28,12 @@ class Bus:
         self.session_id = str(self.session.zid())
         self.entity_ids = itertools.count()
         self.graph = Graph(self.session, domain_id)
-        self.closed = False
+        self.ok = True  # until the context ends, be it by a signal
 
     def close(self) -> None:
         """Withdraw everything announced through this bus; doing so twice is harmless."""
-        if not self.closed:
-            self.closed = True
+        self.ok = False
+        if not self.session.is_closed():
             self.session.close()
 
 
@@ -43,8 +43,8 @@ class Endpoint:
     The token is declared last and withdrawn first, so whoever sees it also reaches what is behind it.
     """
 
-    def __init__(self, bus: Bus, node: Endpoint | None, token: Token, inbox: Any = None) -> None:
-        self.bus, self.token, self.inbox = bus, token, inbox
+    def __init__(self, bus: Bus, node: Endpoint | None, token: Token, qos: Any = None, inbox: Any = None) -> None:
+        self.bus, self.token, self.qos, self.inbox = bus, token, qos, inbox
         self.id = next(bus.entity_ids)
         self.node_id = self.id if node is None else node.id
         self.key = token.topic_key(bus.domain_id)
@@ -63,8 +63,8 @@ class Endpoint:
         """Raise InvalidHandle if the entity was destroyed, RCLError if its context was shut down."""
         if not self._open:
             raise InvalidHandle("cannot use Destroyable because destruction was requested")
-        if self.bus.closed:
-            raise RCLError(f"{self.token.name or self.token.node}: its context is shut down")
+        if not self.bus.ok:
+            raise RCLError(f"{self.token.name}: its context is shut down")
 
     def attachment(self) -> bytes:
         """Return the attachment of the next message."""
@@ -76,7 +76,7 @@ class Endpoint:
 
     def close(self) -> None:
         """Withdraw the entity; doing so twice, or after the bus was closed, is harmless."""
-        if self._open and not self.bus.closed:
+        if self._open and not self.bus.session.is_closed():
             self._liveliness.undeclare()
             if self._declared is not None:
                 self._declared.undeclare()
@@ -92,24 +92,11 @@ class _TopicEndpoint(Endpoint):
     kind: str
 
     def __init__(self, node: Endpoint, name: str, ros_type: str, qos: Any, inbox: Any = None) -> None:
-        self.qos = qos
-        token = Token(
-            self.kind,
-            node.token.node,
-            name,
-            definitions.dds_name(ros_type),
-            definitions.type_hash(ros_type),
-            wire.qos_text(qos),
-        )
-        super().__init__(node.bus, node, token, inbox)
-
-    @property
-    def reliable(self) -> bool:
-        return bool(self.qos.reliability != wire.BEST_EFFORT)
-
-    @property
-    def latched(self) -> bool:
-        return bool(self.qos.durability == wire.TRANSIENT_LOCAL)
+        self.reliable = qos.reliability != wire.BEST_EFFORT
+        self.latched = qos.durability == wire.TRANSIENT_LOCAL
+        types = definitions.dds_name(ros_type), definitions.type_hash(ros_type)
+        token = Token(self.kind, node.token.node, name, *types, wire.qos_text(qos))
+        super().__init__(node.bus, node, token, qos, inbox)
 
 
 class PublisherEndpoint(_TopicEndpoint):

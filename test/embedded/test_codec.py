@@ -91,9 +91,9 @@ def test_a_byte_above_127_passes():
 def test_67_megabytes_pass_without_a_loop_over_bytes():
     values = array("B")
     values.frombytes(bytes(BIG))
-    start = time.perf_counter()
+    start = time.process_time()
     for given in (values, np.zeros(BIG, np.uint8), bytes(BIG)):
         data = message.serialize(UInt8MultiArray(data=given))
     back = message.deserialize(data, UInt8MultiArray)
-    assert time.perf_counter() - start < BIG_SEC
+    assert time.process_time() - start < BIG_SEC
     assert len(back.data) == BIG

@@ -9,12 +9,11 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.exceptions import (
+    InvalidParameterException,
     InvalidParameterTypeException,
     InvalidParameterValueException,
     ParameterAlreadyDeclaredException,
-    ParameterImmutableException,
     ParameterNotDeclaredException,
-    ParameterUninitializedException,
 )
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
@@ -62,8 +61,6 @@ def test_overrides_given_to_the_node_come_first(init, nodes):
     init("-p", "rate:=1.0")
     node = nodes("alpha", parameter_overrides=[Parameter("rate", value=2.0)])
     assert node.declare_parameters("", [("rate", 0.0)])[0].value == 2.0
-    automatic = nodes("beta", automatically_declare_parameters_from_overrides=True)
-    assert automatic.get_parameter("rate").value == 1.0
 
 
 def test_a_value_of_another_type_is_refused_at_the_start(init, nodes):
@@ -108,21 +105,27 @@ def test_ranges_of_integers(nodes):
     assert [told(node, "n", v).successful for v in (1, 7, 8, 10, 11, 0)] == [True, True, False, True, False, False]
 
 
-def test_read_only_dynamic_and_uninitialized(nodes):
+def test_read_only_parameters(nodes):
     node = nodes("alpha")
     node.declare_parameter("fixed", 1, ParameterDescriptor(read_only=True))
     assert "read-only" in told(node, "fixed", 2).reason
-    with pytest.raises(ParameterImmutableException):
-        node.undeclare_parameter("fixed")
-    node.declare_parameter("any", 1, ParameterDescriptor(dynamic_typing=True))
-    assert told(node, "any", "text").successful
-    node.declare_parameter("typed", Parameter.Type.STRING_ARRAY)
-    with pytest.raises(ParameterUninitializedException):
-        node.get_parameter("typed")
-    assert node.get_parameter_or("typed", Parameter("typed", value=["x"])).value == ["x"]
-    assert told(node, "typed", ["a"]).successful
-    node.undeclare_parameter("typed")
-    assert not node.has_parameter("typed")
+    assert node.get_parameter("fixed").value == 1
+
+
+@pytest.mark.parametrize(
+    "declaration",
+    [
+        ("x",),
+        ("x", None),
+        ("x", Parameter.Type.STRING),
+        ("x", 1, ParameterDescriptor(dynamic_typing=True)),
+    ],
+)
+def test_parameters_without_a_fixed_type_and_value_need_ros2(nodes, declaration):
+    node = nodes("alpha")
+    with pytest.raises(NotImplementedError, match=r"parameter 'x' .* needs ROS 2"):
+        node.declare_parameters("", [declaration])
+    assert not node.has_parameter("x")
 
 
 def test_undeclared_parameters(nodes):
@@ -136,43 +139,26 @@ def test_undeclared_parameters(nodes):
     node.declare_parameter("x", 1)
     with pytest.raises(ParameterAlreadyDeclaredException):
         node.declare_parameter("x", 1)
-    with pytest.raises(ValueError, match="NOT_SET"):
-        node.declare_parameter("y", None, ParameterDescriptor())
-    lenient = nodes("beta", allow_undeclared_parameters=True)
-    assert lenient.get_parameter("x").type_ == Parameter.Type.NOT_SET
-    assert told(lenient, "x", 1).successful
-    assert lenient.get_parameter("x").value == 1
+    with pytest.raises(InvalidParameterException):
+        node.declare_parameter("two words", 1)
 
 
-def test_callbacks_before_while_and_after_setting(nodes):
-    node, after = nodes("alpha"), []
+def test_callbacks_check_what_is_set(nodes):
+    node = nodes("alpha")
     node.declare_parameter("x", 1)
     node.declare_parameter("y", 1)
-
-    def double(parameters):
-        return [Parameter(p.name, value=p.value * 2) for p in parameters if p.value != 0]
 
     def check(parameters):
         return SetParametersResult(successful=all(p.value < 10 for p in parameters), reason="too much")
 
-    def note(parameters):
-        after.append({p.name: p.value for p in parameters})
-
-    node.add_pre_set_parameters_callback(double)
     node.add_on_set_parameters_callback(check)
-    node.add_post_set_parameters_callback(note)
-    assert told(node, "x", 3).successful
-    assert told(node, "x", 7).reason == "too much"
-    assert "cannot be empty" in told(node, "x", 0).reason
-    both = [Parameter("x", value=1), Parameter("y", value=6)]
+    assert told(node, "x", 6).successful
+    assert told(node, "x", 14).reason == "too much"
+    both = [Parameter("x", value=2), Parameter("y", value=12)]
     assert not node.set_parameters_atomically(both).successful
-    assert after == [{"x": 6}]
-    assert node.get_parameter("x").value == 6
-    node.remove_pre_set_parameters_callback(double)
+    assert [p.value for p in node.get_parameters(["x", "y"])] == [6, 1]
     node.remove_on_set_parameters_callback(check)
-    node.remove_post_set_parameters_callback(note)
     assert told(node, "x", 70).successful
-    assert len(after) == 1
 
 
 def test_parameter_events(nodes, spin_until):

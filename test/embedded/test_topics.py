@@ -3,19 +3,17 @@
 import pytest
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
     InvalidQoSProfileException,
-    QoSPresetProfiles,
     QoSProfile,
     ReliabilityPolicy,
     qos_profile_sensor_data,
 )
-from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Int32, String
 
+from octn_ros.embedded import message
 from octn_ros.embedded.errors import InvalidHandle, RCLError
 
 LATCHED = QoSProfile(depth=2, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
@@ -29,8 +27,8 @@ def test_messages_arrive_in_order(nodes, spin_until):
     node, got = nodes("alpha"), []
     node.create_subscription(Int32, "numbers", lambda m: got.append(m.data), 100)
     publisher = node.create_publisher(Int32, "numbers", 100)
-    for message in numbers(50):
-        publisher.publish(message)
+    for number in numbers(50):
+        publisher.publish(number)
     spin_until(lambda: len(got) == 50, node)
     assert got == list(range(50))
     assert publisher.topic_name == "/numbers"
@@ -42,8 +40,8 @@ def test_the_oldest_messages_are_dropped_when_the_queue_is_full(nodes, spin_unti
     keep_all = QoSProfile(history=HistoryPolicy.KEEP_ALL)
     node.create_subscription(Int32, "numbers", lambda m: every.append(m.data), keep_all)
     publisher = node.create_publisher(Int32, "numbers", 10)
-    for message in numbers(10):
-        publisher.publish(message)
+    for number in numbers(10):
+        publisher.publish(number)
     spin_until(lambda: len(every) == 10, node)
     assert last == [7, 8, 9]
 
@@ -51,8 +49,8 @@ def test_the_oldest_messages_are_dropped_when_the_queue_is_full(nodes, spin_unti
 def test_late_joiners_get_the_last_messages_of_a_latched_topic_only(nodes, spin_until):
     node, late, volatile = nodes("alpha"), [], []
     publisher = node.create_publisher(Int32, "latched", LATCHED)
-    for message in numbers(5):
-        publisher.publish(message)
+    for number in numbers(5):
+        publisher.publish(number)
     node.create_subscription(Int32, "latched", lambda m: volatile.append(m.data), 10)
     node.create_subscription(Int32, "latched", lambda m: late.append(m.data), LATCHED)
     spin_until(lambda: len(late) == 2, node)
@@ -61,13 +59,12 @@ def test_late_joiners_get_the_last_messages_of_a_latched_topic_only(nodes, spin_
     assert (late, volatile) == ([3, 4, 5], [5])
 
 
-def test_raw_messages(nodes, spin_until):
-    node, raw = nodes("alpha"), []
-    node.create_subscription(String, "text", raw.append, 10, raw=True)
-    publisher = node.create_publisher(String, "text", 10)
-    publisher.publish(serialize_message(String(data="one")))
-    spin_until(lambda: raw, node)
-    assert deserialize_message(raw[0], String).data == "one"
+def test_a_message_may_be_published_as_its_bytes(nodes, spin_until):
+    node, got = nodes("alpha"), []
+    node.create_subscription(String, "text", got.append, 10)
+    node.create_publisher(String, "text", 10).publish(message.serialize(String(data="one")))
+    spin_until(lambda: got, node)
+    assert got == [String(data="one")]
 
 
 def test_bytes_that_are_no_message_are_an_error_and_the_node_goes_on(nodes, spin_until):
@@ -87,18 +84,14 @@ def test_the_graph_tells_who_is_there(nodes, spin_until):
     assert node.wait_for_node("/rob/beta", 5.0)
     assert not node.wait_for_node("/rob/gamma", 0.0)
     publisher = node.create_publisher(String, "/text", qos_profile_sensor_data)
-    subscription = other.create_subscription(String, "/text", print, QoSPresetProfiles.SENSOR_DATA.value)
+    subscription = other.create_subscription(String, "/text", print, qos_profile_sensor_data)
     assert publisher.get_subscription_count() == subscription.get_publisher_count() == 1
     assert (node.count_publishers("/text"), other.count_subscribers("/text")) == (1, 1)
-    assert ("/text", ["std_msgs/msg/String"]) in node.get_topic_names_and_types()
-    assert ("/rob/beta/get_parameters", ["rcl_interfaces/srv/GetParameters"]) in node.get_service_names_and_types()
-    assert set(node.get_node_names()) == {"alpha", "beta"}
-    assert set(node.get_node_names_and_namespaces()) == {("alpha", "/"), ("beta", "/rob")}
     assert other.destroy_subscription(subscription)
     assert not other.destroy_subscription(subscription)
     other.destroy_node()
     assert publisher.get_subscription_count() == 0
-    assert set(node.get_fully_qualified_node_names()) == {"/alpha"}
+    assert not node.wait_for_node("/rob/beta", 0.0)
 
 
 def test_remaps_and_namespaces(init, nodes):
@@ -139,10 +132,9 @@ def test_wrong_arguments_are_refused(nodes):
         node.create_publisher(String, "a", -1)
     with pytest.raises(RuntimeError, match="no message or service class"):
         node.create_publisher(str, "a", 1)
-    with pytest.raises(RuntimeError, match="one argument"):
-        node.create_subscription(String, "a", lambda: None, 1)
-    with pytest.raises(NotImplementedError, match=r"message info, .* needs ROS 2"):
-        node.create_subscription(String, "a", lambda message, info: None, 1)
+    for callback in (lambda: None, lambda text, info: None):
+        with pytest.raises(NotImplementedError, match=r"other than one argument, .* needs ROS 2"):
+            node.create_subscription(String, "a", callback, 1)
     with pytest.raises(InvalidQoSProfileException):
         QoSProfile(history=HistoryPolicy.KEEP_LAST)
     with pytest.raises(InvalidQoSProfileException):
@@ -158,15 +150,3 @@ def test_publishing_ends_with_publisher_and_context(nodes):
     rclpy.shutdown()
     with pytest.raises(RCLError):
         other.publish(String())
-
-
-def test_a_publisher_class_of_ones_own(nodes, spin_until):
-    class Loud(Publisher):
-        def publish(self, msg):
-            super().publish(String(data=msg.data.upper()))
-
-    node, got = nodes("alpha"), []
-    node.create_subscription(String, "a", lambda m: got.append(m.data), 1)
-    node.create_publisher(String, "a", 1, publisher_class=Loud).publish(String(data="x"))
-    spin_until(lambda: got, node)
-    assert got == ["X"]

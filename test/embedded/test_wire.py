@@ -84,10 +84,6 @@ def test_namespaces_and_keep_all_survive_a_token():
         Token.parse("@ros2_lv/0/x")
 
 
-def test_names_on_the_wire_go_both_ways():
-    assert definitions.ros_name(definitions.dds_name("nav_msgs/srv/GetPlan")) == "nav_msgs/srv/GetPlan"
-
-
 def test_attachments_and_gids():
     gid = wire.gid("some token")
     assert len(gid) == 16

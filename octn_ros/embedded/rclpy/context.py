@@ -31,8 +31,6 @@ class Context:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._bus: Bus | None = None
-        self._ok = False
-        self._domain_id = 0
         self._arguments = Arguments()
         self._executors: weakref.WeakSet[Executor] = weakref.WeakSet()
 
@@ -49,53 +47,47 @@ class Context:
             if self._bus is not None:
                 raise RuntimeError("Context.init() must only be called once")
             self._arguments = Arguments(sys.argv if args is None else args)
-            self._domain_id = int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
             if initialize_logging:
                 for level in self._arguments.log_levels:
                     name, _, severity = level.rpartition(":=")
                     logging.set_logger_level(name, logging.get_logging_severity_from_string(severity))
-            self._bus = Bus(self._domain_id)
-            self._ok = True
+            self._bus = Bus(int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id)
             _running.add(self)
             atexit.register(self._bus.close)
 
     def _open_bus(self) -> Bus:
-        if self._bus is None or not self._ok:
-            raise NotInitializedException("cannot create node: the context is not initialized, or is shut down")
+        if self._bus is None or not self._bus.ok:
+            raise NotInitializedException("the context is not initialized, or is shut down")
         return self._bus
 
     def ok(self) -> bool:
         """Return whether the context is initialized and neither shut down nor ended by a signal."""
-        return self._ok
+        return self._bus is not None and self._bus.ok
 
     def get_domain_id(self) -> int:
-        """Return the domain id; raise NotInitializedException before `init`."""
-        if self._bus is None:
-            raise NotInitializedException
-        return self._domain_id
+        """Return the domain id; raise NotInitializedException unless the context is running."""
+        return self._open_bus().domain_id
 
     def _stop(self) -> None:
         """Let executors end; all that a signal handler may do, as it sets flags and wakes queues only."""
-        self._ok = False
+        if self._bus is not None:
+            self._bus.ok = False
         for executor in list(self._executors):
             executor.wake()
 
     def shutdown(self) -> None:
         """End the context and close its session; raise RuntimeError if it is not running."""
-        if self._bus is None:
-            raise RuntimeError("Context must be initialized before it can be shutdown")
-        if not self._ok:
-            raise RCLError("failed to shutdown: rcl_shutdown already called on the given context")
+        if not self.ok():
+            raise RCLError("failed to shutdown: the context is not initialized, or is shut down already")
         self.try_shutdown()
 
     def try_shutdown(self) -> None:
         """End the context, if it is running, and close its session."""
         with self._lock:
             self._stop()
-            bus = self._bus
-        if bus is not None and not bus.closed:
-            bus.close()
-            atexit.unregister(bus.close)
+            if self._bus is not None:
+                self._bus.close()
+                atexit.unregister(self._bus.close)
 
 
 _running: weakref.WeakSet[Context] = weakref.WeakSet()
