@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -11,6 +10,7 @@ from typing import NoReturn
 from octn_ros import __version__
 from octn_ros.commands import demo, fit, info, plan, run
 from octn_ros.errors import OctnError
+from octn_ros.openmp import wait_passively
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -22,9 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: the arguments without the program's name; those of the process if None.
     """
-    # Read when torch loads. OpenMP's threads otherwise spin while they wait for each other, and on a machine that is
-    # busy with other things as well, a fit on two cores then takes tens of times as long.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    wait_passively()
     try:
         arguments = _parser().parse_args(argv)
     except SystemExit as stop:  # --help, --version or a bad argument; argparse has said what there is to say
