@@ -11,9 +11,6 @@ import yaml
 
 from octn_ros.embedded.errors import RCLError
 
-IGNORED_WITH_VALUE = ("-e", "--enclave", "--log-config-file", "--log-file-name")
-IGNORED_SWITCH = ("--enable-", "--disable-")
-
 
 class Rule(NamedTuple):
     """`[node:]left:=right`."""
@@ -48,11 +45,7 @@ class _Loader(yaml.SafeLoader):
 for _tag, _pattern, _first in (
     ("bool", r"y|Y|yes|Yes|YES|n|N|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF", "yYnNtTfFoO"),
     ("int", r"[-+]?(0x[0-9a-fA-F]+|0|[1-9][0-9]*)", "-+0123456789"),
-    (
-        "float",
-        r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))|\.(nan|NaN|NAN)",
-        "-+.0123456789",
-    ),
+    ("float", r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(?i:inf))|\.(?i:nan)", "-+.0123456789"),
     ("null", r"~|null|Null|NULL|", "~nN\0"),
 ):
     _firsts = [*_first, ""] if _tag == "null" else list(_first)
@@ -83,7 +76,7 @@ class Arguments:
                 self.rest.append(argument)
             elif argument in ("--ros-args", "--"):
                 ours = argument == "--ros-args"
-            elif not argument.startswith(IGNORED_SWITCH):
+            else:
                 value = next(remaining, None)
                 if value is None:
                     raise RCLError(f"Found ROS argument '{argument}' without a value, or an unknown one")
@@ -99,7 +92,7 @@ class Arguments:
             self._add_file(load(Path(value).read_text(encoding="utf-8")), "")
         elif argument == "--log-level":
             self.log_levels.append(value)
-        elif argument not in IGNORED_WITH_VALUE:
+        else:
             raise RCLError(f"Found unknown ROS argument: '{argument}'")
 
     def _add_file(self, tree: Any, path: str) -> None:

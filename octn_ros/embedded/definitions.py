@@ -58,8 +58,8 @@ def add_service(name: str, text: str) -> None:
 
 for _name, (_constants, _fields) in list(_table.items()):
     _table[_name] = (_constants, [(n, _normal(*t)) for n, t in _fields])
-for _block in SERVICES.strip().split("# ")[1:]:
-    add_service(*_block.split("\n", 1))
+for _name, _text in re.findall(r"^(\S+):((?:.|\n )*)", SERVICES, re.MULTILINE):
+    add_service(_name, " ".join(_text.split()).replace("; ", "\n").replace("---", "\n---\n"))
 
 
 def constants(name: str) -> dict[str, Any]:

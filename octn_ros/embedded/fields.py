@@ -1,4 +1,4 @@
-"""What may stand in a field of a message: its type in words, its default and the check of what is assigned."""
+"""What may stand in a field of a message: its default and the check of what is assigned."""
 
 from __future__ import annotations
 
@@ -11,16 +11,13 @@ import numpy as np
 from octn_ros.embedded.cdr import TYPECODES
 from octn_ros.embedded.definitions import ARRAY, BASE, DEFAULTS, NAME
 
-IDL_NAMES = {"bool": "boolean", "byte": "octet", "float32": "float", "float64": "double"}
 PYTHON_TYPES = {"bool": bool, "byte": bytes, "string": str, "float32": float, "float64": float}
 ZERO = {bool: False, bytes: b"\0", str: "", float: 0.0, int: 0}
-FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
 class Field(NamedTuple):
-    """One field: type as `get_fields_and_field_types` words it, default, and value -> value to keep (or error)."""
+    """One field: default, and value -> value to keep (or error)."""
 
-    text: str
     default: Callable[[], Any]
     convert: Callable[[Any], Any]
 
@@ -39,44 +36,35 @@ def make_field(owner: str, name: str, kind: int, argument: Any, classes: Callabl
 
     if kind == NAME:
         cls = classes(argument)
-        return Field(
-            argument.replace("/msg/", "/"),
-            cls,
-            lambda v: v if isinstance(v, cls) else refuse(v, f"of type '{cls.__name__}'"),
-        )
+        return Field(cls, lambda v: v if isinstance(v, cls) else refuse(v, f"of type '{cls.__name__}'"))
     if kind == BASE:
         return _scalar(owner, name, argument, refuse)
     (item_kind, item_argument), size = argument
     item = make_field(owner, name, item_kind, item_argument, classes)
     base = item_argument[0] if item_kind == BASE and item_argument[0] in TYPECODES else None
-    if kind == ARRAY:
-        return _array(item, base, size, refuse)
-    text = f"sequence<{item.text}{f', {size}' if size else ''}>"
+    fixed = kind == ARRAY
+    if base is not None and fixed:
+        return Field(lambda: np.zeros(size, base), lambda v: _fixed(v, np.dtype(base), size, refuse))
     if base is not None:
-        return Field(text, lambda: array(TYPECODES[base]), lambda v: _primitives(v, base, refuse))
+        return Field(lambda: array(TYPECODES[base]), lambda v: _primitives(v, base, refuse))
 
     def checked(value: Any) -> Any:
-        if not isinstance(value, (Sequence, Set)) or isinstance(value, (str, bytes)) or (size and len(value) > size):
-            refuse(value, f"a sequence of at most {size} items" if size else "a sequence")
+        items = isinstance(value, (Sequence, Set)) and not isinstance(value, (str, bytes))
+        if not items or (fixed and len(value) != size) or (size and len(value) > size):
+            refuse(value, f"a sequence of {'' if fixed else 'at most '}{size} items" if size else "a sequence")
         for x in value:
             item.convert(x)
         return value
 
-    return Field(text, list, checked)
+    return Field(lambda: [item.default() for _ in range(size if fixed else 0)], checked)
 
 
 def _scalar(owner: str, name: str, argument: tuple[str, int], refuse: Callable[[Any, str], NoReturn]) -> Field:
     base, bound = argument
     python: Any = PYTHON_TYPES.get(base, int)
-    low: float
-    high: float
-    if python is int:
-        bits = int(base.lstrip("uint"))
-        low, high = (0, 2**bits - 1) if base[0] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-    elif base == "float32":
-        low, high = -FLOAT32_MAX, FLOAT32_MAX
-    else:
-        low, high = -np.inf, np.inf
+    is_number = python in (int, float)
+    limits: Any = (np.iinfo if python is int else np.finfo)(base) if is_number else None
+    low, high = (python(limits.min), python(limits.max)) if is_number else (0, 0)
 
     def convert(value: Any) -> Any:
         if not isinstance(value, python):
@@ -87,37 +75,22 @@ def _scalar(owner: str, name: str, argument: tuple[str, int], refuse: Callable[[
         elif python is bytes:
             if len(value) != 1:
                 refuse(value, "one byte")
-        elif (value < low or value > high) and abs(value) != np.inf:
+        elif is_number and (value < low or value > high) and abs(value) != np.inf:
             refuse(value, f"in [{low}, {high}]")
         return value
 
     default = DEFAULTS.get((owner, name), ZERO[python])
-    return Field(IDL_NAMES.get(base, base) + (f"<{bound}>" if bound else ""), lambda: default, convert)
+    return Field(lambda: default, convert)
 
 
-def _array(item: Field, base: str | None, size: int, refuse: Callable[[Any, str], NoReturn]) -> Field:
-    text = f"{item.text}[{size}]"
-    if base is None:
-
-        def checked(value: Any) -> Any:
-            if not isinstance(value, Sequence) or isinstance(value, (str, bytes)) or len(value) != size:
-                refuse(value, f"a sequence of {size} items")
-            for x in value:
-                item.convert(x)
-            return value
-
-        return Field(text, lambda: [item.default() for _ in range(size)], checked)
-    dtype = np.dtype(base)
-
-    def converted(value: Any) -> Any:
-        if isinstance(value, np.ndarray) and value.dtype != dtype:
-            refuse(value, f"of dtype {dtype}, not {value.dtype}")
-        kept = np.asarray(value, dtype=dtype)
-        if kept.shape != (size,):
-            refuse(value, f"of shape ({size},), not {kept.shape}")
-        return kept
-
-    return Field(text, lambda: np.zeros(size, dtype), converted)
+def _fixed(value: Any, dtype: np.dtype[Any], size: int, refuse: Callable[[Any, str], NoReturn]) -> Any:
+    """Return what rclpy accepts for a fixed number of numbers as a NumPy array."""
+    if isinstance(value, np.ndarray) and value.dtype != dtype:
+        refuse(value, f"of dtype {dtype}, not {value.dtype}")
+    kept = np.asarray(value, dtype=dtype)
+    if kept.shape != (size,):
+        refuse(value, f"of shape ({size},), not {kept.shape}")
+    return kept
 
 
 def _primitives(value: Any, base: str, refuse: Callable[[Any, str], NoReturn]) -> array:

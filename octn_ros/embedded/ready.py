@@ -59,7 +59,6 @@ class ReadyEntity:
         if inspect.iscoroutinefunction(callback):
             raise needs_ros2(f"a coroutine as callback, {callback!r},")
         self.callback, self.callback_group, self._inbox = callback, callback_group, inbox
-        callback_group.add_entity(self)
         inbox.entity = self
         inbox.notify()  # of what arrived between the declaration and here
 

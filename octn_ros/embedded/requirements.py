@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-REQUIRED = ("zenoh", "rosbags", "numpy", "yaml")
+REQUIRED = ("zenoh", "rosbags", "numpy", "yaml", "xxhash")
 
 
 def check_requirements() -> None:

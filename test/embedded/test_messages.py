@@ -37,13 +37,8 @@ def test_constants():
 
 
 def test_fields_and_repr():
-    assert GetPlan.Request().get_fields_and_field_types() == {
-        "start": "geometry_msgs/PoseStamped",
-        "goal": "geometry_msgs/PoseStamped",
-        "tolerance": "float",
-    }
-    assert PointCloud2.get_fields_and_field_types()["data"] == "sequence<uint8>"
-    assert CameraInfo.get_fields_and_field_types()["k"] == "double[9]"
+    with pytest.raises(NotImplementedError, match=r"get_fields_and_field_types .* needs ROS 2"):
+        GetPlan.Request().get_fields_and_field_types()
     assert repr(Header(frame_id="map")) == (
         "std_msgs.msg.Header(stamp=builtin_interfaces.msg.Time(sec=0, nanosec=0), frame_id='map')"
     )

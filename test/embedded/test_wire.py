@@ -92,11 +92,6 @@ def test_attachments_and_gids():
     assert stamp > 0
 
 
-def test_a_gid_needs_no_xxhash(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "xxhash", None)
-    assert len(wire.gid("some token")) == 16
-
-
 def test_a_session_listens_on_loopback_only(graph):
     config = session.session_config(int(graph["ROS_DOMAIN_ID"]))
     endpoints = config["listen/endpoints"] + config["connect/endpoints"]

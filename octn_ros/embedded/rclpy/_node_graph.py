@@ -7,13 +7,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from octn_ros.embedded import wire
+from octn_ros.embedded.errors import needs_ros2
 
-from .exceptions import (
-    InvalidNamespaceException,
-    InvalidNodeNameException,
-    InvalidServiceNameException,
-    InvalidTopicNameException,
-)
+from . import exceptions
 
 if TYPE_CHECKING:
     from octn_ros.embedded.arguments import Arguments
@@ -30,16 +26,14 @@ class NodeGraph:
     Names of nodes and topics in other processes appear a moment after these are made: wait for them.
     """
 
-    def __init__(self, name: str, namespace: str | None, arguments: list[Arguments], bus: Bus) -> None:
-        renamed = [a.renamed("__node", name) for a in arguments]
-        moved = [a.renamed("__ns", name) for a in arguments]
-        self._name = next((n for n in renamed if n is not None), name)
-        self._namespace = "/" + next((n for n in moved if n is not None), namespace or "").strip("/")
+    def __init__(self, name: str, namespace: str | None, arguments: Arguments, bus: Bus) -> None:
+        self._name = arguments.renamed("__node", name) or name
+        self._namespace = "/" + (arguments.renamed("__ns", name) or namespace or "").strip("/")
         self._arguments, self._bus = arguments, bus
         if not _NAME.fullmatch(self._name):
-            raise InvalidNodeNameException(self._name, "must be alphanumerics or underscores", 0)
+            raise exceptions.InvalidNodeNameException(self._name, "must be alphanumerics or underscores", 0)
         if not _NAMESPACE.fullmatch(self._namespace):
-            raise InvalidNamespaceException(self._namespace, "must be names separated by slashes", 0)
+            raise exceptions.InvalidNamespaceException(self._namespace, "must be names separated by slashes", 0)
 
     def get_name(self) -> str:
         """Return the node's name."""
@@ -59,7 +53,7 @@ class NodeGraph:
         Raises:
             InvalidTopicNameException: ROS does not allow the name.
         """
-        return self._resolve(topic, only_expand, InvalidTopicNameException)
+        return self._resolve(topic, only_expand, exceptions.InvalidTopicNameException)
 
     def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
         """Return the full name of a service, remapped unless `only_expand`.
@@ -67,25 +61,20 @@ class NodeGraph:
         Raises:
             InvalidServiceNameException: ROS does not allow the name.
         """
-        return self._resolve(service, only_expand, InvalidServiceNameException)
+        return self._resolve(service, only_expand, exceptions.InvalidServiceNameException)
 
     def _resolve(self, name: str, only_expand: bool, error: Callable[[str, str, int], Exception]) -> str:
-        plain = self._substitute(name)
-        if not plain or plain.endswith("/") or not _TOPIC.fullmatch(plain):
+        if "{" in name:
+            raise needs_ros2(f"a substitution in a name, '{name}',")
+        if not name or name.endswith("/") or not _TOPIC.fullmatch(name):
             raise error(name, "must be names separated by slashes", 0)
         full = self._expand(name)
-        for node, left, right in [] if only_expand else [r for a in self._arguments for r in a.remaps]:
+        for node, left, right in [] if only_expand else self._arguments.remaps:
             if node in ("", self._name) and not left.startswith("__") and self._expand(left) == full:
                 return self._expand(right)
         return full
 
-    def _substitute(self, name: str) -> str:
-        for key, value in (("node", self._name), ("ns", self._namespace), ("namespace", self._namespace)):
-            name = name.replace(f"{{{key}}}", value)
-        return name
-
     def _expand(self, name: str) -> str:
-        name = self._substitute(name)
         if name.startswith("~"):
             return f"{self.get_fully_qualified_name()}/{name[1:].lstrip('/')}".rstrip("/")
         return name if name.startswith("/") else f"{self._namespace.rstrip('/')}/{name}"

@@ -11,13 +11,7 @@ from rcl_interfaces.msg import ListParametersResult, ParameterDescriptor, Parame
 
 from octn_ros.embedded.errors import needs_ros2
 
-from .exceptions import (
-    InvalidParameterException,
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-    ParameterAlreadyDeclaredException,
-    ParameterNotDeclaredException,
-)
+from . import exceptions
 from .parameter import PARAMETER_SEPARATOR_STRING, Parameter
 
 if TYPE_CHECKING:
@@ -77,24 +71,24 @@ class NodeParameters:
             descriptor = declaration[2] if len(declaration) > 2 else ParameterDescriptor()
             name = f"{namespace}{PARAMETER_SEPARATOR_STRING}{short}" if namespace else short
             if not re.fullmatch(r"\S+", name):
-                raise InvalidParameterException(name)
+                raise exceptions.InvalidParameterException(name)
             if default is None or isinstance(default, Parameter.Type) or descriptor.dynamic_typing:
                 raise needs_ros2(f"parameter '{name}' without a default value or with dynamic typing")
             if name in self._parameters or name in declared:
-                raise ParameterAlreadyDeclaredException(name)
+                raise exceptions.ParameterAlreadyDeclaredException(name)
             kind = Parameter.Type.from_parameter_value(default)
             value = default if ignore_override else self._overrides.get(name, default)
             empty = isinstance(value, (list, tuple)) and not value and kind.name.endswith("_ARRAY")
             # An empty list takes the declared type.
             parameter = Parameter(name, kind, value) if empty else Parameter(name, value=value)
             if parameter.type_ != kind:
-                raise InvalidParameterTypeException(parameter, kind.name)
+                raise exceptions.InvalidParameterTypeException(parameter, kind.name)
             descriptor.name, descriptor.type = name, kind.value
             declared[name] = parameter, descriptor
         for name, (parameter, descriptor) in declared.items():
             result = self._set([parameter], {name: descriptor})
             if not result.successful:
-                raise InvalidParameterValueException(name, parameter.value, result.reason)
+                raise exceptions.InvalidParameterValueException(name, parameter.value, result.reason)
         return [self._parameters[name] for name in declared]
 
     def has_parameter(self, name: str) -> bool:
@@ -104,7 +98,7 @@ class NodeParameters:
     def get_parameter(self, name: str) -> Parameter:
         """Return a parameter; raise ParameterNotDeclaredException if there is none."""
         if name not in self._parameters:
-            raise ParameterNotDeclaredException(name)
+            raise exceptions.ParameterNotDeclaredException(name)
         return self._parameters[name]
 
     def get_parameters(self, names: list[str]) -> list[Parameter]:
@@ -119,7 +113,7 @@ class NodeParameters:
     def describe_parameter(self, name: str) -> Any:
         """Return the descriptor of a parameter; raise ParameterNotDeclaredException if there is none."""
         if name not in self._descriptors:
-            raise ParameterNotDeclaredException(name)
+            raise exceptions.ParameterNotDeclaredException(name)
         return self._descriptors[name]
 
     def describe_parameters(self, names: list[str]) -> list[Any]:
@@ -158,7 +152,7 @@ class NodeParameters:
             ParameterNotDeclaredException: one is not declared.
         """
         if unknown := [p.name for p in parameter_list if p.name not in self._parameters]:
-            raise ParameterNotDeclaredException(unknown)
+            raise exceptions.ParameterNotDeclaredException(unknown)
         return self._set(parameter_list, self._descriptors)
 
     def _set(self, parameters: list[Parameter], descriptors: dict[str, Any]) -> Any:

@@ -64,10 +64,6 @@ class Context:
         """Return whether the context is initialized and neither shut down nor ended by a signal."""
         return self._bus is not None and self._bus.ok
 
-    def get_domain_id(self) -> int:
-        """Return the domain id; raise NotInitializedException unless the context is running."""
-        return self._open_bus().domain_id
-
     def _stop(self) -> None:
         """Let executors end; all that a signal handler may do, as it sets flags and wakes queues only."""
         if self._bus is not None:

@@ -8,16 +8,10 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import ParameterEvent
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from octn_ros.embedded import transport
 from octn_ros.embedded.absent import refuse_absent, refuse_arguments
 from octn_ros.embedded.arguments import Arguments
 from octn_ros.embedded.ready import Inbox, ReadyEntity
-from octn_ros.embedded.transport import (
-    ClientEndpoint,
-    PublisherEndpoint,
-    ServiceEndpoint,
-    SubscriptionEndpoint,
-    announce_node,
-)
 from octn_ros.embedded.wire import DEFAULT_DEPTH
 
 from . import logging
@@ -32,9 +26,9 @@ from .parameter import Parameter
 from .parameter_service import ParameterService
 from .publisher import Publisher
 from .qos import (
-    QoSHistoryPolicy,
+    HistoryPolicy,
     QoSProfile,
-    QoSReliabilityPolicy,
+    ReliabilityPolicy,
     qos_profile_parameter_events,
     qos_profile_services_default,
 )
@@ -46,8 +40,11 @@ from .utilities import get_default_context
 
 NANOSECONDS_PER_SECOND = 10**9
 USE_SIM_TIME = "use_sim_time"
-CLOCK_QOS = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+SERVICE_QOS = qos_profile_services_default
+CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _Entity = TypeVar("_Entity", bound=ReadyEntity)
+_Group = CallbackGroup | None
+_Callback = Callable[..., Any]
 
 
 class Node(NodeGraph, NodeParameters):
@@ -59,8 +56,6 @@ class Node(NodeGraph, NodeParameters):
     Args:
         node_name: the name; a remap `__node` or `__ns` changes name or namespace.
         context: by default the default one.
-        cli_args: ROS arguments for this node only, e.g. `["--ros-args", "-p", "rate:=2.0"]`; they come before the
-            arguments of the context.
         namespace: put in front of names.
         use_global_arguments: whether the context's arguments count.
         start_parameter_services: whether other processes may read and set parameters.
@@ -80,7 +75,6 @@ class Node(NodeGraph, NodeParameters):
         node_name: str,
         *,
         context: Context | None = None,
-        cli_args: list[str] | None = None,
         namespace: str | None = None,
         use_global_arguments: bool = True,
         start_parameter_services: bool = True,
@@ -90,20 +84,17 @@ class Node(NodeGraph, NodeParameters):
         refuse_arguments("rclpy.node.Node()", lacking)
         self.context = context or get_default_context()
         bus = self.context._open_bus()
-        arguments = [Arguments(cli_args or []), *([self.context._arguments] if use_global_arguments else [])]
+        arguments = self.context._arguments if use_global_arguments else Arguments()
         NodeGraph.__init__(self, node_name, namespace, arguments, bus)
-        overrides: dict[str, Any] = {}
-        for given in reversed(arguments):  # the node's own come before the context's
-            overrides.update(given.overrides(self.get_fully_qualified_name()))
-        overrides.update({p.name: p.value for p in parameter_overrides or []})
-        NodeParameters.__init__(self, overrides)
+        given = {p.name: p.value for p in parameter_overrides or []}
+        NodeParameters.__init__(self, {**arguments.overrides(self.get_fully_qualified_name()), **given})
         self._executor: Executor | None = None
         self._entities: list[ReadyEntity] = []
         self._timers: list[Timer] = []
         self.default_callback_group: CallbackGroup = MutuallyExclusiveCallbackGroup()
         self._clock = ROSClock()
         self._clock_subscription: Subscription | None = None
-        self._endpoint = announce_node(bus, self.get_fully_qualified_name())
+        self._endpoint = transport.announce_node(bus, self.get_fully_qualified_name())
         self._logger = logging.get_logger(self.get_fully_qualified_name()[1:].replace("/", "."))
         self._parameter_events = self.create_publisher(
             ParameterEvent, "/parameter_events", qos_profile_parameter_events
@@ -156,13 +147,7 @@ class Node(NodeGraph, NodeParameters):
         return entity
 
     def create_publisher(
-        self,
-        msg_type: Any,
-        topic: str,
-        qos_profile: QoSProfile | int,
-        *,
-        callback_group: CallbackGroup | None = None,
-        **lacking: Any,
+        self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, *, callback_group: _Group = None, **lacking: Any
     ) -> Publisher:
         """Return a new publisher.
 
@@ -174,17 +159,17 @@ class Node(NodeGraph, NodeParameters):
         """
         refuse_arguments("Node.create_publisher", lacking)
         name, qos = self.resolve_topic_name(topic), _profile(qos_profile)
-        endpoint = PublisherEndpoint(self._endpoint, name, _type_name(msg_type), qos, Inbox(self))
+        endpoint = transport.PublisherEndpoint(self._endpoint, name, _type_name(msg_type), qos, Inbox(self))
         return self._keep(Publisher(endpoint, msg_type, topic, None, callback_group or self.default_callback_group))
 
     def create_subscription(
         self,
         msg_type: Any,
         topic: str,
-        callback: Callable[..., Any],
+        callback: _Callback,
         qos_profile: QoSProfile | int,
         *,
-        callback_group: CallbackGroup | None = None,
+        callback_group: _Group = None,
         **lacking: Any,
     ) -> Subscription:
         """Return a new subscription.
@@ -202,32 +187,27 @@ class Node(NodeGraph, NodeParameters):
         """
         refuse_arguments("Node.create_subscription", lacking)
         name, qos = self.resolve_topic_name(topic), _profile(qos_profile)
-        inbox = Inbox(self, None if qos.history == QoSHistoryPolicy.KEEP_ALL else qos.depth or DEFAULT_DEPTH)
-        endpoint = SubscriptionEndpoint(self._endpoint, name, _type_name(msg_type), qos, inbox)
+        inbox = Inbox(self, None if qos.history == HistoryPolicy.KEEP_ALL else qos.depth or DEFAULT_DEPTH)
+        endpoint = transport.SubscriptionEndpoint(self._endpoint, name, _type_name(msg_type), qos, inbox)
         group = callback_group or self.default_callback_group
         return self._keep(Subscription(endpoint, msg_type, topic, callback, group))
 
     def create_client(
-        self,
-        srv_type: Any,
-        srv_name: str,
-        *,
-        qos_profile: QoSProfile = qos_profile_services_default,
-        callback_group: CallbackGroup | None = None,
+        self, srv_type: Any, srv_name: str, *, qos_profile: QoSProfile = SERVICE_QOS, callback_group: _Group = None
     ) -> Client:
         """Return a new client of a service; raise as `create_service`."""
-        name = self.resolve_service_name(srv_name)
-        endpoint = ClientEndpoint(self._endpoint, name, _type_name(srv_type), qos_profile, Inbox(self))
+        name, inbox = self.resolve_service_name(srv_name), Inbox(self)
+        endpoint = transport.ClientEndpoint(self._endpoint, name, _type_name(srv_type), qos_profile, inbox)
         return self._keep(Client(endpoint, srv_type, srv_name, None, callback_group or self.default_callback_group))
 
     def create_service(
         self,
         srv_type: Any,
         srv_name: str,
-        callback: Callable[[Any, Any], Any],
+        callback: _Callback,
         *,
-        qos_profile: QoSProfile = qos_profile_services_default,
-        callback_group: CallbackGroup | None = None,
+        qos_profile: QoSProfile = SERVICE_QOS,
+        callback_group: _Group = None,
     ) -> Service:
         """Return a new service; `callback` gets request and an empty response and returns the response.
 
@@ -236,15 +216,15 @@ class Node(NodeGraph, NodeParameters):
             RuntimeError: `srv_type` is no service class of this runtime.
         """
         name = self.resolve_service_name(srv_name)
-        endpoint = ServiceEndpoint(self._endpoint, name, _type_name(srv_type), qos_profile, Inbox(self))
+        endpoint = transport.ServiceEndpoint(self._endpoint, name, _type_name(srv_type), qos_profile, Inbox(self))
         group = callback_group or self.default_callback_group
         return self._keep(Service(endpoint, srv_type, srv_name, callback, group))
 
     def create_timer(
         self,
         timer_period_sec: float,
-        callback: Callable[[], Any],
-        callback_group: CallbackGroup | None = None,
+        callback: _Callback,
+        callback_group: _Group = None,
         clock: Clock | None = None,
         autostart: bool = True,
     ) -> Timer:
