@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from octn_ros.embedded import wire
+from octn_ros.embedded.arguments import Arguments
 from octn_ros.embedded.errors import needs_ros2
+from octn_ros.embedded.transport import Bus
 
 from . import exceptions
-
-if TYPE_CHECKING:
-    from octn_ros.embedded.arguments import Arguments
-    from octn_ros.embedded.transport import Bus
 
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _NAMESPACE = re.compile(r"/|(/[A-Za-z_]\w*)+", re.ASCII)

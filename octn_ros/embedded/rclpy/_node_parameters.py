@@ -5,18 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from math import isclose
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rcl_interfaces.msg import ListParametersResult, ParameterDescriptor, ParameterEvent, SetParametersResult
 
 from octn_ros.embedded.errors import needs_ros2
 
 from . import exceptions
+from .clock import ROSClock
 from .parameter import PARAMETER_SEPARATOR_STRING, Parameter
-
-if TYPE_CHECKING:
-    from .clock import ROSClock
-    from .publisher import Publisher
+from .publisher import Publisher
 
 
 class NodeParameters:
