@@ -41,8 +41,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/octn_ros"]),
         ("share/octn_ros", ["package.xml"]),
-        ("share/octn_ros/config", glob("config/*.yaml")),
-        ("share/octn_ros/launch", glob("launch/*.launch.py")),
+        ("share/octn_ros/config", glob("config/*.yaml")),  # noqa: PTH207 - setuptools takes relative names only
+        ("share/octn_ros/launch", glob("launch/*.launch.py")),  # noqa: PTH207
     ],
     python_requires=">=3.10",
     install_requires=[

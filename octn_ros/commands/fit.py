@@ -51,7 +51,7 @@ class FitCommand:
         """
         terminal.check_output_file(self.output)
         from octn_ros.field import save_field
-        from octn_ros.nodes.device import torch_device
+        from octn_ros.field.device import torch_device
         from octn_ros.training import fit
         from octn_ros.volume import load_volume
 

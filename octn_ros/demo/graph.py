@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -13,13 +12,14 @@ import octn_ros.nodes  # noqa: F401 - makes rclpy importable where ROS 2 is miss
 
 # isort: split
 import rclpy
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from octn_ros import embedded
 from octn_ros.errors import OctnError
+from octn_ros.nodes.background import BackgroundSpin
 from octn_ros.nodes.client import GraphClient
 from octn_ros.nodes.planner import Planner
 from octn_ros.nodes.query import Query
@@ -56,7 +56,7 @@ def demo_graph(parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[GraphCli
         DemoError: the graph did not answer in time.
     """
     nodes: list[Node] = []
-    faults: list[BaseException] = []
+    spin = None
     with _private_domain() as domain_id:
         # Warnings and errors of the nodes stay visible beside the progress bar, their chatter does not. Ctrl-C is for
         # the thread that waits, which then takes the graph down in order.
@@ -66,34 +66,24 @@ def demo_graph(parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[GraphCli
             signal_handler_options=SignalHandlerOptions.NO,
         )
         executor = MultiThreadedExecutor(num_threads=THREADS)
-        thread = threading.Thread(target=_spin, args=(executor, faults), name="demo graph", daemon=True)
         try:
             for name, make_node in NODES.items():
                 overrides = [Parameter(key, value=_value(value)) for key, value in parameters.get(name, {}).items()]
                 nodes.append(make_node(parameter_overrides=overrides))
                 executor.add_node(nodes[-1])
-            thread.start()
+            spin = BackgroundSpin(executor, "demo graph")
             with GraphClient("demo") as client:
                 yield client
         except TimeoutError as error:
-            because = f"; the nodes have stopped: {faults[0]!r}" if faults else ""
+            because = f"; the nodes have stopped: {spin.fault!r}" if spin and spin.fault else ""
             raise DemoError(f"{error}{because}") from error
         finally:
+            if spin is not None:
+                spin.stop(CLOSE_WAIT_S)
             executor.shutdown(timeout_sec=CLOSE_WAIT_S)
-            if thread.ident is not None:
-                thread.join(CLOSE_WAIT_S)
             for node in nodes:
                 node.destroy_node()
             rclpy.try_shutdown()
-
-
-def _spin(executor: MultiThreadedExecutor, faults: list[BaseException]) -> None:
-    try:
-        executor.spin()
-    except ExternalShutdownException:
-        pass
-    except BaseException as error:  # kept for the waiting thread, which tells it to the user
-        faults.append(error)
 
 
 @contextmanager

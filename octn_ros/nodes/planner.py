@@ -18,8 +18,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from octn_ros.errors import OctnError, PlanError
+from octn_ros.field.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes import conversions, process, qos, status
-from octn_ros.nodes.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters

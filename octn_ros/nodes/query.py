@@ -14,8 +14,8 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from octn_ros.errors import OctnError, QueryError
+from octn_ros.field.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes import conversions, process
-from octn_ros.nodes.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters

@@ -22,9 +22,9 @@ from std_srvs.srv import Trigger
 
 from octn_ros.errors import OctnError, VolumeError
 from octn_ros.field import dumps_field, field_hash
+from octn_ros.field.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes import conversions, process, qos, status
 from octn_ros.nodes.bscan_pairs import BScanPairs
-from octn_ros.nodes.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.nodes.pose_history import PoseHistory
 from octn_ros.nodes.worker import Worker
@@ -236,7 +236,7 @@ class Trainer(Node):
                 progress=lambda progress: self._report(progress, stamp_ns),
                 cancelled=cancelled,
             )
-            figures = {**of_scan, "steps": result.steps, "seconds": result.seconds, "psnr_db": result.psnr_db}
+            figures = {**of_scan, "steps": result.steps, "seconds": result.seconds}
             if result.cancelled or cancelled():
                 self._progress.report(status.WARN, "fit cancelled", {"state": "cancelled", **figures})
                 return
@@ -254,7 +254,13 @@ class Trainer(Node):
         self._progress.report(
             status.OK,
             f"field fitted in {result.seconds:.1f} s: {result.steps} steps, PSNR {result.psnr_db:.2f} dB",
-            {"state": "done", **figures, "field_hash": field_hash(data), "field_bytes": len(data)},
+            {
+                "state": "done",
+                **figures,
+                "psnr_db": result.psnr_db,
+                "field_hash": field_hash(data),
+                "field_bytes": len(data),
+            },
         )
 
     def _place(self, scan: Scan) -> Scan:

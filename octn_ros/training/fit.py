@@ -55,7 +55,8 @@ class FitResult:
         field: the field; its description holds the configuration and these figures.
         steps: gradient steps done.
         seconds: duration of the fit, without the evaluation after it.
-        psnr_db: against the measured volume on `EVALUATED_BSCANS` evenly spaced B-scans.
+        psnr_db: against the measured volume on `EVALUATED_BSCANS` evenly spaced B-scans; NaN if cancelled, since
+            whoever cancels a fit wants it to end.
         history: the reports of the fit.
         cancelled: whether it was stopped from outside; the field is then the unfinished one.
     """
@@ -125,8 +126,14 @@ def fit(
                 progress(report)
     seconds = time.perf_counter() - start
     field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
-    quality = psnr_of_field(field, volume)
-    training = {"config": asdict(config), "steps": step, "seconds": seconds, "psnr_db": quality, "cancelled": stopped}
+    quality = math.nan if stopped else psnr_of_field(field, volume)
+    training = {
+        "config": asdict(config),
+        "steps": step,
+        "seconds": seconds,
+        "psnr_db": None if stopped else quality,
+        "cancelled": stopped,
+    }
     field = NeuralField(model, config.field, replace(field.description, training=training))
     return FitResult(field, step, seconds, quality, tuple(history), stopped)
 

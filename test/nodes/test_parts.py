@@ -10,9 +10,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
 from octn_ros.errors import ConfigurationError, PlanError
+from octn_ros.field.device import torch_device
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.bscan_pairs import BScanPairs
-from octn_ros.nodes.device import torch_device
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.pose_history import PoseHistory
 from octn_ros.nodes.worker import Worker

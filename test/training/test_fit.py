@@ -89,6 +89,7 @@ def test_a_fit_can_be_cancelled(volume):
     assert result.cancelled
     assert result.steps == 3
     assert result.field.description.training["cancelled"]
+    assert result.field.description.training["psnr_db"] is None
 
 
 def test_a_time_budget_ends_the_fit_and_both_stages_share_it(volume):

@@ -1,4 +1,4 @@
-"""The torch device that a node's `device` parameter names."""
+"""The torch device that a `device` parameter or argument names."""
 
 from __future__ import annotations
 
