@@ -87,6 +87,12 @@ def test_no_file_is_too_long_or_named_after_nothing():
         assert path.stem not in {"utils", "helpers", "common", "misc"}, path
 
 
+def test_test_files_have_names_of_their_own():
+    # The pytest plugins of ROS 2 import test files by their bare names.
+    names = [path.name for path in (REPOSITORY / "test").rglob("test_*.py")]
+    assert len(names) == len(set(names))
+
+
 def test_one_version_everywhere():
     xml = (REPOSITORY / "package.xml").read_text(encoding="utf-8")
     assert f"<version>{octn_ros.__version__}</version>" in xml

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import signal
 import sys
 from collections.abc import Callable
 
@@ -11,6 +12,7 @@ import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
 
 from octn_ros.errors import OctnError
 from octn_ros.nodes.worker import any_working
@@ -26,9 +28,16 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         args: command-line arguments with `--ros-args`, None for those of the process.
 
     Returns:
-        The exit code: 0 after an ordered end, 2 for parameters that the node cannot start with.
+        The exit code: 0 after an ordered end, 2 for arguments or parameters that the node cannot start with.
     """
     rclpy.init(args=args)
+    unknown = remove_ros_args(args)[1:]
+    if unknown:
+        rclpy.logging.get_logger("octn_ros").fatal(
+            f"expected nothing but --ros-args ..., got {' '.join(unknown)}; parameters are given as -p NAME:=VALUE"
+        )
+        rclpy.try_shutdown()
+        return 2
     node = None
     try:
         node = make_node()
@@ -48,9 +57,12 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         if rclpy.ok():
             raise
     finally:
+        # A second Ctrl-C, or that of a launch after the terminal's own, must not break the ordered end off.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # again: the shutdown puts back what was there before rclpy
         if any_working():
             atexit.register(_leave)
     return 0

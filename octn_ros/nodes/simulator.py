@@ -118,8 +118,9 @@ class Simulator(Node):
                 start_ns = self.get_clock().now().nanoseconds
                 bscans = self._scanner.bscans(start_ns, round(config.bscan_period_s * 1e9))
                 self._scan_stamp_ns, self._scan_pose = start_ns, self._arm.ee2base
+                if self._arm.state == "staged":
+                    self._no_plan = "a new scan has withdrawn the plan before it"
                 self._arm.new_scan()
-                self._no_plan = "a new scan has withdrawn the plan before it"
                 self._unsent.extend(bscans)
                 response.success = True
                 response.message = f"scanning {len(self._unsent)} B-scans"

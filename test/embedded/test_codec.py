@@ -6,12 +6,12 @@ from array import array
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import UInt8MultiArray
 
 from octn_ros.embedded import definitions, message
 
-REFERENCE = get_typestore(Stores.ROS2_JAZZY)
+typesys = pytest.importorskip("rosbags.typesys", reason="rosbags belongs to the extra `embedded`")
+REFERENCE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 TYPES = sorted(REFERENCE.fielddefs)
 MESSAGES_PER_TYPE = 10
 BIG = 67_000_000
