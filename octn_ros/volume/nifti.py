@@ -105,8 +105,8 @@ def _spacing_m(image: Any, spacing_um: tuple[float, float, float] | None) -> tup
     unit = image.header.get_xyzt_units()[0]
     if unit not in _METRES_PER_UNIT:
         raise VolumeError(
-            "the file does not state the unit of its spacing; give it as --spacing-um BSCAN AXIAL LATERAL (micrometres), "
-            "in Python as spacing_um"
+            "the file does not state the unit of its spacing; give it in micrometres as "
+            "--spacing-um BSCAN AXIAL LATERAL, in Python as spacing_um"
         )
     bscan, axial, lateral = (float(z) * _METRES_PER_UNIT[unit] for z in image.header.get_zooms()[:3])
     return bscan, axial, lateral
