@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from std_msgs.msg import UInt8MultiArray
 
-from octn_ros.embedded import definitions, message
-
 typesys = pytest.importorskip("rosbags.typesys", reason="rosbags belongs to the extra `embedded`")
+pytest.importorskip("zenoh", reason="eclipse-zenoh belongs to the extra `embedded`")
+
+from octn_ros.embedded import definitions, message  # noqa: E402 - needs both
+
 REFERENCE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 TYPES = sorted(REFERENCE.fielddefs)
 MESSAGES_PER_TYPE = 10
