@@ -11,6 +11,12 @@ from rclpy.logging import (
 )
 
 
+@pytest.fixture(autouse=True)
+def usual_levels(monkeypatch):
+    # Levels are the process's, as in rclpy: another test may have set them, the demo's for instance.
+    monkeypatch.setattr("rclpy.logging._levels", {})
+
+
 def lines(capsys):
     return capsys.readouterr().err.splitlines()
 
