@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import os
-import signal
 import sys
 from collections.abc import Callable
 
@@ -57,12 +56,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         if rclpy.ok():
             raise
     finally:
-        # A second Ctrl-C, or that of a launch after the terminal's own, must not break the ordered end off.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # again: the shutdown puts back what was there before rclpy
         if any_working():
             atexit.register(_leave)
     return 0

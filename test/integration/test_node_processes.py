@@ -158,18 +158,6 @@ def test_arguments_that_are_none_of_ros_end_with_code_2_and_one_line() -> None:
     assert "Traceback" not in ended.stderr
 
 
-def test_an_impatient_second_interrupt_leaves_no_traceback(client: Any) -> None:
-    command = [sys.executable, "-m", "octn_ros.nodes.simulator", *parameters(*PARAMETERS["simulator"])]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as simulator:
-        client.watch(DiagnosticArray, "execution_status").wait(START_TIMEOUT_S)
-        for _ in range(2):
-            simulator.send_signal(signal.SIGINT)
-            time.sleep(0.01)  # two signals at once would be one
-        _, errors = simulator.communicate(timeout=EXIT_TIMEOUT_S)
-    assert simulator.returncode == 0
-    assert "Traceback" not in errors
-
-
 def test_the_namespace_can_be_changed(start: Callable[..., Any], client: Any) -> None:
     start("simulator", *parameters(*PARAMETERS["simulator"]), "-r", "__ns:=/theatre_2")
     client.watch(DiagnosticArray, "/theatre_2/execution_status").wait(START_TIMEOUT_S)
