@@ -1,7 +1,83 @@
-"""Settings of all tests."""
+"""For all tests: a graph of its own for each process, under rclpy and the embedded runtime alike; no deadlines."""
 
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
 from hypothesis import settings
+
+from octn_ros import embedded
 
 # Time is measured in benchmarks; on a busy machine a deadline would fail a test that is right.
 settings.register_profile("octn", deadline=None)
 settings.load_profile("octn")
+
+
+def _own_graph() -> None:
+    """Take a port that is free, and a domain that other test processes hardly have: before rclpy is imported."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    os.environ["OCTN_RENDEZVOUS_PORT"] = str(port)
+    os.environ["ROS_DOMAIN_ID"] = str(1 + port % 100)  # DDS turns higher domains into ports that Linux may hand out
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+if "OCTN_RENDEZVOUS_PORT" not in os.environ:
+    _own_graph()
+embedded.install()  # from here on the tests may import rclpy and the message packages
+
+
+@pytest.fixture
+def ros() -> Iterator[None]:
+    """rclpy, initialised for one test."""
+    import rclpy
+
+    rclpy.init(args=[])
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def client(ros: None) -> Iterator[Any]:
+    """A client of the graph."""
+    from octn_ros.nodes.client import GraphClient
+
+    with GraphClient() as graph:
+        yield graph
+
+
+@pytest.fixture
+def spin(ros: None) -> Iterator[Callable[..., Any]]:
+    """Make nodes with parameters, and spin them until the test ends."""
+    from rclpy.executors import MultiThreadedExecutor
+    from rclpy.parameter import Parameter
+
+    from octn_ros.nodes.background import BackgroundSpin
+
+    executor = MultiThreadedExecutor(num_threads=4)
+    background = BackgroundSpin(executor, "nodes")
+    nodes: list[Any] = []
+
+    def make(kind: Any, **parameters: Any) -> Any:
+        """`search__newton_steps=3` sets `search.newton_steps`."""
+        node = kind(
+            parameter_overrides=[Parameter(name.replace("__", "."), value=value) for name, value in parameters.items()]
+        )
+        nodes.append(node)
+        executor.add_node(node)
+        return node
+
+    yield make
+    background.stop()
+    for node in nodes:
+        executor.remove_node(node)
+        node.destroy_node()
+    executor.shutdown()
+    assert background.fault is None

@@ -21,10 +21,10 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from octn_ros.errors import CheckpointError, ExecutionError, VolumeError
+from octn_ros.field import FORMAT
 from octn_ros.planning import from_translation_quaternion, quaternions_xyzw
 from octn_ros.volume import VolumeGeometry
 
-FIELD_FORMAT = "octn-field/safetensors"
 LARGEST_GRID = 1 << 22  # cells of an en-face view: 4 MB on the wire
 TOOL_PATH = np.dtype(
     [
@@ -204,7 +204,7 @@ def _nearest(samples: int, spacing: float, cell: float) -> NDArray[np.intp]:
 
 def to_field_message(data: bytes, stamp_ns: int, frame: str) -> CompressedImage:
     """Return a stored field as the message of the `field` topic; the stamp is the scan's."""
-    return CompressedImage(header=header(stamp_ns, frame), format=FIELD_FORMAT, data=to_bytes_field(data))
+    return CompressedImage(header=header(stamp_ns, frame), format=FORMAT, data=to_bytes_field(data))
 
 
 def field_data(message: CompressedImage) -> bytes:
@@ -213,8 +213,8 @@ def field_data(message: CompressedImage) -> bytes:
     Raises:
         CheckpointError: the message is of another format.
     """
-    if message.format != FIELD_FORMAT:
-        raise CheckpointError(f"expected a field of format {FIELD_FORMAT!r}, got {message.format!r}")
+    if message.format != FORMAT:
+        raise CheckpointError(f"expected a field of format {FORMAT!r}, got {message.format!r}")
     return bytes(message.data)
 
 

@@ -30,7 +30,7 @@ class ScanFrames:
 
         Raises:
             PlanError: nobody knows the frame.
-        CalibrationError: the pose is not a finite, rigid one.
+            CalibrationError: the pose is not a finite, rigid one.
         """
         frame = pose.header.frame_id
         return self._frame2oct(frame) @ pose_to_matrix(pose.pose)

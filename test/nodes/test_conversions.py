@@ -156,7 +156,7 @@ def test_a_grid_never_grows_beyond_its_limit() -> None:
 
 def test_a_field_message_names_its_format() -> None:
     message = conversions.to_field_message(b"abc", 5, "oct_optical_frame")
-    assert message.format == field.FORMAT == conversions.FIELD_FORMAT
+    assert message.format == field.FORMAT == conversions.FORMAT
     assert conversions.field_data(message) == b"abc"
     with pytest.raises(CheckpointError, match="got 'jpeg'"):
         conversions.field_data(CompressedImage(format="jpeg"))
