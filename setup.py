@@ -24,6 +24,7 @@ TEST = [
     "pytest>=8.0",
     "pytest-timeout>=2.3",
     "ruff>=0.6",
+    "trimesh>=4.0",  # reads the meshes we write
     "types-PyYAML",
 ]
 
@@ -52,6 +53,7 @@ setup(
         "pyyaml>=6.0",  # calibration files
         "rich>=13.0",  # tables and progress bars
         "safetensors>=0.4",  # checkpoints that run nothing when loaded
+        "scikit-image>=0.22",  # marching cubes, SSIM
         "scipy>=1.11",  # filters, KD-tree, rotations
         "torch>=2.4",  # Adam fused on the CPU
     ],
