@@ -1,7 +1,39 @@
 """Figures of merit for images, surfaces and paths, on NumPy arrays alone."""
 
-from octn_ros.metrics.image import psnr_db
+from octn_ros.metrics.image import SSIM_PARAMETERS, psnr_db, psnr_from_error_db, ssim
+from octn_ros.metrics.noise import edge_preservation_index, snr_db
 from octn_ros.metrics.path import hit_rate, smoothness_energy_mm2
-from octn_ros.metrics.surface import SurfaceDistance, depth_rms_um, surface_distance
+from octn_ros.metrics.point_cloud import MAX_POINTS, CloudDistance, chamfer_m, cloud_distance, hausdorff_m
+from octn_ros.metrics.region import RegionKind, RegionOfInterest, find_regions, load_regions
+from octn_ros.metrics.surface import (
+    SurfaceDistance,
+    depth_rms_um,
+    nearest_distance_m,
+    summarise_distance,
+    surface_distance,
+)
 
-__all__ = ["SurfaceDistance", "depth_rms_um", "hit_rate", "psnr_db", "smoothness_energy_mm2", "surface_distance"]
+__all__ = [
+    "MAX_POINTS",
+    "SSIM_PARAMETERS",
+    "CloudDistance",
+    "RegionKind",
+    "RegionOfInterest",
+    "SurfaceDistance",
+    "chamfer_m",
+    "cloud_distance",
+    "depth_rms_um",
+    "edge_preservation_index",
+    "find_regions",
+    "hausdorff_m",
+    "hit_rate",
+    "load_regions",
+    "nearest_distance_m",
+    "psnr_db",
+    "psnr_from_error_db",
+    "smoothness_energy_mm2",
+    "snr_db",
+    "ssim",
+    "summarise_distance",
+    "surface_distance",
+]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from octn_ros.errors import QueryError
-from octn_ros.metrics import psnr_db
+from octn_ros.metrics import psnr_db, psnr_from_error_db, ssim
 
 
 def test_psnr_by_hand():
@@ -37,3 +37,46 @@ def test_equal_images_are_infinitely_close():
 def test_psnr_refuses_what_it_cannot_compare(reference, test, data_range):
     with pytest.raises(QueryError, match="psnr_db: expected"):
         psnr_db(reference, test, data_range)
+
+
+def test_psnr_of_a_mean_squared_error():
+    assert psnr_from_error_db(1e-3) == pytest.approx(30.0)
+    assert psnr_from_error_db(0.0) == math.inf
+
+
+def test_ssim_of_a_constant_shift_by_hand():
+    # Two constant images of 0.5 and 0.7 have no variance: the contrast term is C2 / C2 = 1, and what is left is
+    # (2 * 0.5 * 0.7 + C1) / (0.5^2 + 0.7^2 + C1) with C1 = (0.01 * 1)^2 = 1e-4: 0.7001 / 0.7401.
+    one, other = np.full((16, 16), 0.5), np.full((16, 16), 0.7)
+    assert ssim(one, other) == pytest.approx(0.7001 / 0.7401)
+    # With a data range of 10, C1 = 1e-2: 0.71 / 0.75.
+    assert ssim(one, other, data_range=10.0) == pytest.approx(0.71 / 0.75)
+
+
+def test_ssim_of_an_inverted_pattern_by_hand():
+    # Columns alternate 0, 1; the other image is the inverse. Mean 1/2 and variance 1/4 in every window (to the window's
+    # tails), covariance -1/4: luminance 1, contrast and structure (-1/2 + C2) / (1/2 + C2) with C2 = 9e-4.
+    pattern = np.tile([0.0, 1.0], (32, 16))
+    assert ssim(pattern, 1.0 - pattern) == pytest.approx((-0.5 + 9e-4) / (0.5 + 9e-4), abs=1e-3)
+
+
+def test_ssim_is_symmetric_and_one_for_equal_images():
+    generator = np.random.default_rng(0)
+    one, other = generator.random((20, 24)), generator.random((20, 24))
+    assert ssim(one, other) == pytest.approx(ssim(other, one))
+    assert ssim(one, one) == pytest.approx(1.0)
+    assert ssim(one, other) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("reference", "test", "data_range"),
+    [
+        (np.ones((16, 16)), np.ones((16, 17)), 1.0),
+        (np.ones((10, 16)), np.ones((10, 16)), 1.0),
+        (np.ones((4, 16, 16)), np.ones((4, 16, 16)), 1.0),
+        (np.ones((16, 16)), np.ones((16, 16)), -1.0),
+    ],
+)
+def test_ssim_refuses_what_it_cannot_compare(reference, test, data_range):
+    with pytest.raises(QueryError, match="ssim: expected"):
+        ssim(reference, test, data_range)
