@@ -20,6 +20,13 @@ class FitConfig:
     time_budget_s: float = setting(
         0.0, "end the fit after this many seconds, 0 for never; both stages shrink with it", unit="s", low=0.0, high=1e6
     )
+    target_psnr_db: float = setting(
+        0.0,
+        "end the fit at this PSNR on fixed voxels of evenly spaced B-scans, 0 for never",
+        unit="dB",
+        low=0.0,
+        high=120.0,
+    )
     batch: int = setting(1 << 18, "samples per step B (open in the paper)", low=64, high=1 << 24)
     alpha: float = setting(0.20, "share of interpolated samples in the hybrid stage", low=0.0, high=1.0)
     hybrid_share: float = setting(
@@ -36,7 +43,7 @@ class FitConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if int(self.alpha * self.batch) == 0 and self.alpha > 0:
+        if round(self.alpha * self.batch, 6) < 1 and self.alpha > 0:
             raise ConfigurationError(f"alpha {self.alpha} of a batch of {self.batch} is no sample at all; raise either")
 
 

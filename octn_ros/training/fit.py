@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -13,38 +13,15 @@ from torch import nn
 
 from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, NeuralField, NeuralModel
-from octn_ros.metrics import psnr_db
+from octn_ros.settings import as_plain
 from octn_ros.training.config import FitConfig
-from octn_ros.training.sampling import VoxelSampler
+from octn_ros.training.divergence import DivergenceGuard
+from octn_ros.training.held_in import HeldInVoxels, psnr_of_error, psnr_of_field
+from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
+from octn_ros.training.sampling import ResidentVoxels, VoxelSampler
 from octn_ros.volume import Volume
 
-REPORT_PERIOD_S = 0.25
-# The paper evaluates its training curve on 16 evenly spaced B-scans (fig. 7a).
-EVALUATED_BSCANS = 16
-
-
-@dataclass(frozen=True)
-class FitProgress:
-    """Where a fit stands.
-
-    Attributes:
-        step, steps: steps done, steps planned.
-        seconds: time since the start.
-        fraction: share of the fit that is done, by steps or by the time budget, whichever is further.
-        stage: "hybrid" or "discrete".
-        loss: mean squared error over the samples since the last report.
-        psnr_db: the same over native voxels only, drawn at random and not yet trained on in their step.
-        samples_per_s: training samples per second so far.
-    """
-
-    step: int
-    steps: int
-    seconds: float
-    fraction: float
-    stage: Literal["hybrid", "discrete"]
-    loss: float
-    psnr_db: float
-    samples_per_s: float
+Ended = Literal["steps", "time", "target", "cancelled", "diverged"]
 
 
 @dataclass(frozen=True)
@@ -53,12 +30,13 @@ class FitResult:
 
     Attributes:
         field: the field; its description holds the configuration and these figures.
-        steps: gradient steps done.
+        steps: gradient steps behind the field.
         seconds: duration of the fit, without the evaluation after it.
-        psnr_db: against the measured volume on `EVALUATED_BSCANS` evenly spaced B-scans; NaN if cancelled, since
-            whoever cancels a fit wants it to end.
+        psnr_db: against the measured volume on evenly spaced B-scans; NaN if cancelled, since whoever cancels a fit
+            wants it to end.
         history: the reports of the fit.
-        cancelled: whether it was stopped from outside; the field is then the unfinished one.
+        ended: why it ended: all "steps" done, "time" budget spent, "target" PSNR reached, "cancelled" from outside
+            (the field is then unfinished) or "diverged" (the field is then the last good one).
     """
 
     field: NeuralField
@@ -66,7 +44,12 @@ class FitResult:
     seconds: float
     psnr_db: float
     history: tuple[FitProgress, ...]
-    cancelled: bool
+    ended: Ended
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether it was stopped from outside."""
+        return self.ended == "cancelled"
 
 
 def fit(
@@ -76,124 +59,174 @@ def fit(
     device: str | torch.device = "cpu",
     progress: Callable[[FitProgress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
+    start: NeuralField | None = None,
 ) -> FitResult:
     """Fit a neural field to a volume.
 
-    Runs in the calling thread; several fits may run in several threads. On the CPU the same seed gives the same field,
-    unless a time budget is set: learning rate and stages then follow the clock.
+    Runs in the calling thread; several fits may run in several threads. On the CPU the same seed gives the same field
+    for the same number of threads, unless a time budget is set: learning rate and stages then follow the clock.
 
     Args:
         volume: the C-scan.
         config: parameters of Algorithm 1.
         device: where the volume is kept and the model trained.
         progress: called about four times a second from this thread.
-        cancelled: asked before every step; True ends the fit.
+        cancelled: asked before and within every step, and throughout the evaluation at the end; True ends the fit.
+        start: a field fitted before to a scan of the same shape and spacing; the fit begins with its parameters and
+            keeps its shape, whatever `config.field` says. None begins anew.
+
+    Returns:
+        The field and why the fit ended. A fit that diverged returns its last good state.
 
     Raises:
-        TrainingError: the loss is no longer finite.
+        TrainingError: the fit diverged before there was a good state, or `start` does not fit the volume.
     """
     device = torch.device(device)
-    model = _seeded_model(config, volume).to(device)
-    sampler = VoxelSampler(volume, device, config.seed)
+    is_cancelled = cancelled or _never
+    voxels = ResidentVoxels(volume, device)
+    held_in = HeldInVoxels(voxels)
+    if start is not None:
+        config = dataclasses.replace(config, field=start.config)
+        model = _model_of(start, volume).to(device)
+    else:
+        model = _seeded_model(config, volume, held_in.mean).to(device)
+    steps, seconds, history, ended = _train(model, voxels, held_in, config, progress or _ignore, is_cancelled)
+    field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
+    quality = math.nan if ended == "cancelled" else psnr_of_field(field, volume, cancelled=is_cancelled)
+    if math.isnan(quality):
+        ended = "cancelled"
+    training = {
+        "config": as_plain(config),
+        "steps": steps,
+        "seconds": seconds,
+        "psnr_db": None if math.isnan(quality) else quality,
+        "ended": ended,
+        "warm_start": start is not None,
+    }
+    field = NeuralField(model, config.field, dataclasses.replace(field.description, training=training))
+    return FitResult(field, steps, seconds, quality, history, ended)
+
+
+def _train(
+    model: NeuralModel,
+    voxels: ResidentVoxels,
+    held_in: HeldInVoxels,
+    config: FitConfig,
+    progress: Callable[[FitProgress], None],
+    cancelled: Callable[[], bool],
+) -> tuple[int, float, tuple[FitProgress, ...], Ended]:
+    """Train the model in place; return steps, seconds, reports and why it ended."""
+    sampler = VoxelSampler(voxels, config.seed)
     # Features that no sample touches keep a zero gradient; tiny-cuda-nn's small epsilon lets rare ones move at once.
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    guard = DivergenceGuard(model, held_in.variance)
+    period = HeldInVoxels.period(config.batch)
+    error = held_in.mean_squared_error(model)
+    guard.keep(0, error)
+    schedule = Schedule(config)
+    tally = ProgressTally(config, schedule)
     history: list[FitProgress] = []
-    start = time.perf_counter()
-    tally = _Tally(config, start)
-    step, stopped = 0, False
-    while step < config.steps:
-        fraction = _fraction(config, step, time.perf_counter() - start)
-        if fraction >= 1.0:
-            break
-        if cancelled is not None and cancelled():
-            stopped = True
-            break
-        for group in optimizer.param_groups:
-            group["lr"] = config.learning_rate * config.final_rate_ratio**fraction
-        hybrid = fraction < config.hybrid_share
-        points, intensities, voxels = sampler.batch(config.batch, config.alpha if hybrid else 0.0)
-        error = (model(points) - intensities).square()
-        loss = error.mean()
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        optimizer.step()
-        step += 1
-        tally.add(float(loss.detach()), float(error.detach()[:voxels].mean()) if voxels else math.nan)
-        report = tally.report(step, "hybrid" if hybrid else "discrete", last=step == config.steps)
+
+    def tell(report: FitProgress | None) -> None:
         if report is not None:
             history.append(report)
-            if progress is not None:
-                progress(report)
-    seconds = time.perf_counter() - start
-    field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
-    quality = math.nan if stopped else psnr_of_field(field, volume)
-    training = {
-        "config": asdict(config),
-        "steps": step,
-        "seconds": seconds,
-        "psnr_db": None if stopped else quality,
-        "cancelled": stopped,
-    }
-    field = NeuralField(model, config.field, replace(field.description, training=training))
-    return FitResult(field, step, seconds, quality, tuple(history), stopped)
+            progress(report)
+
+    step = 0
+    stage: Stage = "hybrid"
+    ended: Ended = "steps"
+    while step < config.steps:
+        fraction = schedule.fraction(step)
+        if fraction >= 1.0:
+            ended = "time"
+            break
+        stage = schedule.stage(step + 1)
+        loss = _step(model, optimizer, sampler, config, schedule.learning_rate(fraction), stage, cancelled)
+        if loss is None:
+            ended = "cancelled"
+            break
+        step += 1
+        if guard.diverged(loss):
+            ended = "diverged"
+            break
+        tally.add(loss)
+        if step % period == 0:
+            error = held_in.mean_squared_error(model)
+            guard.keep(step, error)
+            if config.target_psnr_db > 0 and psnr_of_error(error) >= config.target_psnr_db:
+                ended = "target"
+                break
+        tell(tally.report(step, stage, psnr_of_error(error)))
+    if ended not in ("cancelled", "diverged"):
+        error = held_in.mean_squared_error(model)
+        ended = ended if math.isfinite(error) else "diverged"
+    seconds = schedule.seconds
+    if ended != "diverged":
+        tell(tally.report(step, stage, psnr_of_error(error), last=True))
+    else:
+        good = guard.restore()
+        if good is None:
+            raise TrainingError(
+                f"the fit diverged in step {step} and had no good state before; "
+                f"lower the learning rate {config.learning_rate:g}"
+            )
+        step = good
+    return step, seconds, tuple(history), ended
 
 
-def psnr_of_field(field: NeuralField, volume: Volume, bscans: int = EVALUATED_BSCANS) -> float:
-    """Return the PSNR in dB of a field against a volume's voxels, on `bscans` evenly spaced B-scans (all if fewer)."""
-    count = volume.geometry.shape[0]
-    chosen = torch.linspace(0, count - 1, min(bscans, count)).round().long()
-    axes = [torch.linspace(-1.0, 1.0, n, device=field.device) for n in volume.geometry.shape]
-    rendered = field.lattice(axes[2], axes[1], axes[0][chosen.to(field.device)])
-    return psnr_db(volume.normalized()[chosen.numpy()], rendered.cpu().numpy())
+def _step(
+    model: NeuralModel,
+    optimizer: torch.optim.Optimizer,
+    sampler: VoxelSampler,
+    config: FitConfig,
+    learning_rate: float,
+    stage: Stage,
+    cancelled: Callable[[], bool],
+) -> float | None:
+    """Do one step of Algorithm 1; return its loss, None if it was cancelled and nothing has changed."""
+    if cancelled():
+        return None
+    for group in optimizer.param_groups:
+        group["lr"] = learning_rate
+    points, intensities = sampler.batch(config.batch, config.alpha if stage == "hybrid" else 0.0)
+    loss = nn.functional.mse_loss(model(points), intensities)
+    if cancelled():
+        return None
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    optimizer.step()
+    return float(loss.detach())
 
 
-def _seeded_model(config: FitConfig, volume: Volume) -> NeuralModel:
+def _seeded_model(config: FitConfig, volume: Volume, mean: float) -> NeuralModel:
     # Parameters are drawn by torch's global generator; fork it, so that a fit leaves the caller's random state alone.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         model = NeuralModel(config.field, volume.geometry.shape)
     # Start from the volume's mean: the first steps then go into tissue instead of into a constant.
-    nn.init.constant_(model.network.output.bias, float(volume.normalized().mean()))
+    nn.init.constant_(model.network.output.bias, mean)
     return model
 
 
-def _fraction(config: FitConfig, step: int, seconds: float) -> float:
-    by_time = seconds / config.time_budget_s if config.time_budget_s > 0 else 0.0
-    return max(step / config.steps, by_time)
-
-
-class _Tally:
-    """Sums losses between reports."""
-
-    def __init__(self, config: FitConfig, start: float) -> None:
-        self._config, self._start, self._last = config, start, start
-        self._losses: list[float] = []
-        self._voxel_errors: list[float] = []
-
-    def add(self, loss: float, voxel_error: float) -> None:
-        if not math.isfinite(loss):
-            raise TrainingError(
-                f"the loss became {loss}: the fit diverged; lower the learning rate {self._config.learning_rate:g}"
-            )
-        self._losses.append(loss)
-        self._voxel_errors.append(voxel_error)
-
-    def report(self, step: int, stage: Literal["hybrid", "discrete"], last: bool) -> FitProgress | None:
-        now = time.perf_counter()
-        if now - self._last < REPORT_PERIOD_S and not last:
-            return None
-        self._last = now
-        seconds = now - self._start
-        loss = sum(self._losses) / len(self._losses)
-        voxel_error = sum(self._voxel_errors) / len(self._voxel_errors)
-        self._losses, self._voxel_errors = [], []
-        return FitProgress(
-            step=step,
-            steps=self._config.steps,
-            seconds=seconds,
-            fraction=min(_fraction(self._config, step, seconds), 1.0),
-            stage=stage,
-            loss=loss,
-            psnr_db=-10.0 * math.log10(voxel_error) if voxel_error > 0 else math.inf,
-            samples_per_s=step * self._config.batch / seconds,
+def _model_of(start: NeuralField, volume: Volume) -> NeuralModel:
+    """Return a trainable copy of a field's model."""
+    there, here = start.geometry, volume.geometry
+    if there.shape != here.shape or not all(
+        math.isclose(a, b, rel_tol=1e-3) for a, b in zip(there.spacing_m, here.spacing_m, strict=True)
+    ):
+        raise TrainingError(
+            f"expected a start field of the volume's shape {here.shape} and spacing {here.spacing_m} m, got one of "
+            f"{there.shape} and {there.spacing_m} m; fit anew without it"
         )
+    model = NeuralModel(start.config, here.shape)
+    model.load_state_dict(start.model.state_dict())
+    return model.requires_grad_(True).train()
+
+
+def _ignore(report: FitProgress) -> None:
+    """Tell nobody."""
+
+
+def _never() -> bool:
+    """Nobody cancels."""
+    return False

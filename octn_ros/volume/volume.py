@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
-from octn_ros.volume.geometry import VolumeGeometry
+from octn_ros.volume.geometry import OCT_FRAME, VolumeGeometry
 
 IntensityScale = Literal["linear", "log", "unknown"]
+INTENSITY_SCALES: tuple[IntensityScale, ...] = ("linear", "log", "unknown")
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class Volume:
         intensity_scale: IntensityScale = "unknown",
         origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
         stamp_ns: int = 0,
+        frame: str = OCT_FRAME,
     ) -> Volume:
         """Wrap an array [bscan, axial, lateral], converting types this package does not keep to float32.
 
@@ -76,17 +78,26 @@ class Volume:
             raise VolumeError(f"expected an array [bscan, axial, lateral], got {array.ndim} axes of {array.shape}")
         if array.dtype.kind not in "uif":
             raise VolumeError(f"expected real intensities, got type {array.dtype}")
-        geometry = VolumeGeometry(tuple(array.shape), tuple(spacing_m), tuple(origin_m))  # type: ignore[arg-type]
+        geometry = VolumeGeometry(tuple(array.shape), tuple(spacing_m), tuple(origin_m), frame)  # type: ignore[arg-type]
         if intensity_range is None:
             intensity_range = _default_range(array)
-        if array.dtype not in (np.uint8, np.uint16):
-            array = array.astype(np.float32)
-        return cls(np.ascontiguousarray(array), geometry, intensity_range, intensity_scale, stamp_ns)
+        if array.dtype.kind == "u" and array.dtype.itemsize <= 2:
+            kept = array.dtype.newbyteorder("=")
+        else:
+            kept = np.dtype(np.float32)
+        # One step for type and order: a volume of this size has no room for two copies.
+        array = np.ascontiguousarray(array.astype(kept, order="C", copy=False))
+        return cls(array, geometry, intensity_range, intensity_scale, stamp_ns)
 
-    def normalized(self) -> NDArray[np.float32]:
-        """Return intensities in [0, 1] as float32 [bscan, axial, lateral]; values outside the range are clipped."""
+    def normalized(self, index: Any = ...) -> NDArray[np.float32]:
+        """Return intensities in [0, 1] as float32 [bscan, axial, lateral]; values outside the range are clipped.
+
+        Args:
+            index: which voxels, as NumPy indexes the array; all of them if not given. A few B-scans at a time keep a
+                large volume from being copied whole.
+        """
         low, high = self.intensity_range
-        values = self.array.astype(np.float32)
+        values = np.asarray(self.array[index]).astype(np.float32)
         values -= np.float32(low)
         values *= np.float32(1.0 / (high - low))
         return np.clip(values, 0.0, 1.0, out=values)

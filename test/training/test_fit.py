@@ -6,7 +6,7 @@ import torch
 
 from octn_ros.errors import ConfigurationError, TrainingError
 from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig
-from octn_ros.training import PRESETS, FitConfig, VoxelSampler, fit, psnr_of_field
+from octn_ros.training import PRESETS, FitConfig, ResidentVoxels, VoxelSampler, fit, psnr_of_field
 from octn_ros.volume import Volume
 
 SMALL = FitConfig(
@@ -28,8 +28,12 @@ def volume():
     return Volume.from_array(blob, (28e-6, 14.59e-6, 14e-6), stamp_ns=11)
 
 
+def sampler_of(volume):
+    return VoxelSampler(ResidentVoxels(volume, torch.device("cpu")), 0)
+
+
 def test_discrete_samples_are_voxels(volume):
-    points, intensities = VoxelSampler(volume, torch.device("cpu"), 0).discrete(1000)
+    points, intensities = sampler_of(volume).discrete(1000)
     index = volume.geometry.canonical_to_voxel(points.double().numpy())
     rounded = np.round(index).astype(int)
     np.testing.assert_allclose(index, rounded, atol=1e-5)
@@ -38,7 +42,7 @@ def test_discrete_samples_are_voxels(volume):
 
 
 def test_interpolated_samples_fill_the_cube(volume):
-    points, intensities = VoxelSampler(volume, torch.device("cpu"), 0).interpolated(4000)
+    points, intensities = sampler_of(volume).interpolated(4000)
     assert points.abs().max() <= 1
     assert points.mean(0).abs().max() < 0.05
     assert intensities.min() >= 0
@@ -47,11 +51,14 @@ def test_interpolated_samples_fill_the_cube(volume):
 
 
 def test_a_batch_has_the_share_that_algorithm_1_asks_for(volume):
-    sampler = VoxelSampler(volume, torch.device("cpu"), 0)
-    points, intensities, voxels = sampler.batch(1000, 0.2009)
-    assert (len(points), len(intensities), voxels) == (1000, 1000, 800)
-    assert sampler.batch(1000, 0.0)[2] == 1000
-    assert sampler.batch(1000, 1.0)[2] == 0
+    sampler = sampler_of(volume)
+    for share, voxels in ((0.2009, 800), (0.0, 1000), (1.0, 0), (0.29, 710)):
+        points, intensities = sampler.batch(1000, share)
+        assert (len(points), len(intensities)) == (1000, 1000)
+        index = volume.geometry.canonical_to_voxel(points.double())
+        on_grid = ((index - index.round()).abs() < 1e-4).all(-1)
+        assert on_grid[:voxels].all()
+        assert not on_grid[voxels:].any()
 
 
 def test_a_fit_reaches_the_volume(volume):
@@ -59,7 +66,7 @@ def test_a_fit_reaches_the_volume(volume):
     result = fit(volume, SMALL, progress=reports.append)
     assert result.psnr_db > 35
     assert result.psnr_db == pytest.approx(psnr_of_field(result.field, volume))
-    assert (result.steps, result.cancelled) == (150, False)
+    assert (result.steps, result.ended, result.cancelled) == (150, "steps", False)
     assert tuple(reports) == result.history
     assert reports[-1].step == 150
     assert reports[-1].stage == "discrete"
@@ -84,11 +91,11 @@ def test_the_same_seed_gives_the_same_field(volume):
 
 
 def test_a_fit_can_be_cancelled(volume):
-    asked = iter([False, False, False, True])
+    asked = iter([False] * 6 + [True])  # twice in every step
     result = fit(volume, SMALL, cancelled=lambda: next(asked))
     assert result.cancelled
     assert result.steps == 3
-    assert result.field.description.training["cancelled"]
+    assert result.field.description.training["ended"] == "cancelled"
     assert result.field.description.training["psnr_db"] is None
 
 
@@ -96,7 +103,7 @@ def test_a_time_budget_ends_the_fit_and_both_stages_share_it(volume):
     config = dataclasses.replace(SMALL, steps=10_000_000, time_budget_s=1.0)
     result = fit(volume, config)
     assert result.steps < config.steps
-    assert not result.cancelled
+    assert result.ended == "time"
     assert {report.stage for report in result.history} == {"hybrid", "discrete"}
 
 
