@@ -2,7 +2,8 @@
 
 from octn_ros.planning.calibration import Calibration, calibration_from_dict, load_calibration
 from octn_ros.planning.plan import GivenUpPoint, Plan, PlannerConfig, plan_raster, plan_to_plain
-from octn_ros.planning.raster import RasterConfig, RasterPattern, rectangle_corners, rectangle_raster
+from octn_ros.planning.raster import RasterConfig, RasterPattern, rectangle_raster
+from octn_ros.planning.region import rectangle_corners
 from octn_ros.planning.surface_search import GiveUp, SurfaceSearch, SurfaceSearchConfig, find_surface
 from octn_ros.planning.transforms import from_translation_quaternion, invert, make_rigid, quaternions_xyzw
 from octn_ros.planning.waypoints import WaypointConfig, inward_normals, waypoint_poses

@@ -15,7 +15,8 @@ from octn_ros.errors import PlanError, QueryError
 from octn_ros.field import Field
 from octn_ros.metrics import hit_rate, smoothness_energy_mm2
 from octn_ros.planning.calibration import Calibration
-from octn_ros.planning.raster import RasterConfig, RasterPattern, rectangle_corners, rectangle_raster
+from octn_ros.planning.raster import RasterConfig, RasterPattern, rectangle_raster
+from octn_ros.planning.region import rectangle_corners
 from octn_ros.planning.surface_search import GiveUp, SurfaceSearch, SurfaceSearchConfig, check_inside, find_surface
 from octn_ros.planning.transforms import quaternions_xyzw
 from octn_ros.planning.waypoints import WaypointConfig, inward_normals, waypoint_poses

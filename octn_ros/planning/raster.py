@@ -1,34 +1,55 @@
-"""Raster patterns in the lateral plane: where the laser shall go, before any depth is known."""
+"""Raster patterns in the lateral plane: where the laser shall go."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from octn_ros.errors import PlanError
+from octn_ros.planning.region import Region, rectangle_region
+from octn_ros.planning.scanline import NOTHING_M
 from octn_ros.settings import check_settings, setting
 
 MAX_WAYPOINTS = 1_000_000
-# Below a nanometre a rectangle is empty and a difference is rounding.
-_NOTHING_M = 1e-9
+# Steps along a line in which its length on the surface is added up, per waypoint.
+_ARC_STEPS = 4
+
+# Depth z [N] in metres under lateral places (x, y) [N, 2] of the OCT frame.
+DepthAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
 class RasterConfig:
-    """Density of a raster.
+    """Density and order of a raster.
 
     Raises:
-        ConfigurationError: a spacing is not a positive, finite number of metres.
+        ConfigurationError: a spacing is not a positive, finite number of metres, or a length is negative.
     """
 
     line_spacing_m: float = setting(
-        50e-6, "largest distance between neighbouring raster lines", unit="m", low=1e-7, high=0.1
+        50e-6, "largest lateral distance between neighbouring raster lines", unit="m", low=1e-7, high=0.1
     )
     point_spacing_m: float = setting(
         50e-6, "largest distance between neighbouring waypoints of a line", unit="m", low=1e-7, high=0.1
+    )
+    point_spacing_along: str = setting(
+        "surface", "what the waypoint distance is measured along: the surface, as a coarse first pass finds it, or the "
+        "lateral plane", choices=("surface", "lateral"),
+    )  # fmt: skip
+    order: str = setting(
+        "zigzag", "lines there and back again, or all in the direction of the first", choices=("zigzag", "one-way")
+    )
+    lead_in_m: float = setting(
+        0.0, "stretch before each line with the laser off, 0 for none", unit="m", low=0.0, high=0.01
+    )
+    lead_out_m: float = setting(
+        0.0, "stretch after each line with the laser off, 0 for none", unit="m", low=0.0, high=0.01
+    )
+    margin_m: float = setting(
+        0.0, "distance kept from the region's border, such as half a spot", unit="m", low=0.0, high=0.01
     )
 
     def __post_init__(self) -> None:
@@ -41,43 +62,12 @@ class RasterPattern:
 
     Attributes:
         points_m: (x, y) = (lateral, bscan) [N, 2] in the OCT frame, in metres.
-        segment: number of the raster line that each point belongs to [N], int32, from 0.
+        segment: number of the raster line, or of the piece of it in a concave region, that each point belongs to [N],
+            int32, from 0.
     """
 
     points_m: NDArray[np.float64]
     segment: NDArray[np.int32]
-
-
-def rectangle_corners(corner_m: ArrayLike, opposite_corner_m: ArrayLike, angle_rad: float) -> NDArray[np.float64]:
-    """Return the four corners [4, 2] in order around a rectangle, the given ones at 0 and 2.
-
-    Args:
-        corner_m: one corner (x, y) in the OCT frame, in metres.
-        opposite_corner_m: the corner across the diagonal.
-        angle_rad: angle of the rectangle's first side against the lateral axis, towards the bscan axis.
-
-    Raises:
-        PlanError: a number is not finite, or a side of the rectangle has no length.
-    """
-    corner, opposite = np.asarray(corner_m, dtype=np.float64), np.asarray(opposite_corner_m, dtype=np.float64)
-    if corner.shape != (2,) or opposite.shape != (2,):
-        raise PlanError(f"expected two corners (x, y), got arrays of {corner.shape} and {opposite.shape}")
-    if not (np.isfinite(corner).all() and np.isfinite(opposite).all() and math.isfinite(angle_rad)):
-        raise PlanError(
-            "expected a raster rectangle of finite numbers, "
-            f"got corners {corner.tolist()} m and {opposite.tolist()} m, angle {angle_rad} rad"
-        )
-    first = np.array([math.cos(angle_rad), math.sin(angle_rad)])
-    second = np.array([-first[1], first[0]])
-    diagonal = opposite - corner
-    along, across = float(diagonal @ first), float(diagonal @ second)
-    if min(abs(along), abs(across)) < _NOTHING_M:
-        raise PlanError(
-            f"expected a raster rectangle with two sides, got {abs(along) * 1e3:.6g} x {abs(across) * 1e3:.6g} mm "
-            f"between ({corner[0] * 1e3:.3f}, {corner[1] * 1e3:.3f}) mm and "
-            f"({opposite[0] * 1e3:.3f}, {opposite[1] * 1e3:.3f}) mm at {math.degrees(angle_rad):.3g} degrees"
-        )
-    return np.stack([corner, corner + along * first, opposite, corner + across * second])
 
 
 def rectangle_raster(
@@ -86,9 +76,7 @@ def rectangle_raster(
     angle_rad: float = 0.0,
     config: RasterConfig | None = None,
 ) -> RasterPattern:
-    """Fill a rectangle with lines along its first side, there and back again (zigzag).
-
-    Lines and waypoints are evenly spread, no further apart than the spacings, with the first and last on the edges.
+    """Fill a rectangle with lines along its first side; see `raster_pattern`, whose waypoints are spread laterally.
 
     Args:
         corner_m: where the path starts, (x, y) in the OCT frame, in metres.
@@ -100,26 +88,70 @@ def rectangle_raster(
         PlanError: the rectangle is empty or not finite, or the raster would have more than a million waypoints
             (nothing is allocated for it).
     """
+    return raster_pattern(rectangle_region(corner_m, opposite_corner_m, angle_rad), config)
+
+
+def raster_pattern(region: Region, config: RasterConfig | None = None, depth_m: DepthAt | None = None) -> RasterPattern:
+    """Fill a region with parallel lines, clipped to it.
+
+    Lines are evenly spread from border to border, no further apart than the line spacing. Waypoints are evenly spread
+    along each line, no further apart than the point spacing, with the first and last on the border.
+
+    Args:
+        region: what is filled; its margin is that of `config`.
+        config: spacings and order; the defaults if left out.
+        depth_m: the surface along which waypoints are spread; laterally if left out.
+
+    Raises:
+        PlanError: the margin leaves nothing of the region, or the raster would have more than a million waypoints.
+    """
     config = config or RasterConfig()
-    corners = rectangle_corners(corner_m, opposite_corner_m, angle_rad)
-    side, other_side = corners[1] - corners[0], corners[3] - corners[0]
-    lines, points = _count(other_side, config.line_spacing_m), _count(side, config.point_spacing_m)
+    region = region.inset(config.margin_m)
+    first, last = region.line_range()
+    lines = _count(last - first, config.line_spacing_m)
+    width = float(np.ptp(region.to_uv(region.vertices_m)[:, 0]))
+    points = _count(max(width - 2 * config.margin_m, 0.0), config.point_spacing_m)
     if lines * points > MAX_WAYPOINTS:
         raise PlanError(
             f"expected at most {MAX_WAYPOINTS:,} waypoints, got {lines:.4g} lines of {points:.4g}: "
-            f"{np.hypot(*other_side) * 1e3:.3f} mm at a line spacing of {config.line_spacing_m * 1e6:g} um, "
-            f"{np.hypot(*side) * 1e3:.3f} mm at a point spacing of {config.point_spacing_m * 1e6:g} um"
+            f"{(last - first) * 1e3:.3f} mm at a line spacing of {config.line_spacing_m * 1e6:g} um, "
+            f"{width * 1e3:.3f} mm at a point spacing of {config.point_spacing_m * 1e6:g} um"
         )
-    share = np.broadcast_to(np.linspace(0.0, 1.0, int(points)), (int(lines), int(points))).copy()
-    share[1::2] = share[1::2, ::-1]
-    offset = np.linspace(0.0, 1.0, int(lines))[:, None, None] * other_side
-    grid = corners[0] + offset + share[..., None] * side
-    segment = np.repeat(np.arange(int(lines), dtype=np.int32), int(points))
-    return RasterPattern(points_m=grid.reshape(-1, 2), segment=segment)
+    offsets = np.linspace(first, last, int(lines))
+    runs: list[NDArray[np.float64]] = []
+    total = 0
+    for number, (v, spans) in enumerate(zip(offsets, region.line_spans(offsets), strict=True)):
+        back = config.order == "zigzag" and number % 2 == 1
+        for u0, u1 in spans[::-1] if back else spans:
+            run = _run(region, v, u0, u1, config.point_spacing_m, depth_m)
+            runs.append(run[::-1] if back else run)
+            total += len(run)
+            if total > MAX_WAYPOINTS:
+                raise PlanError(
+                    f"expected at most {MAX_WAYPOINTS:,} waypoints, got more on the surface at a point spacing of "
+                    f"{config.point_spacing_m * 1e6:g} um; spread them wider, or along the lateral plane"
+                )
+    segment = np.repeat(np.arange(len(runs), dtype=np.int32), [len(run) for run in runs])
+    return RasterPattern(points_m=np.concatenate(runs), segment=segment)
 
 
-def _count(side: NDArray[np.float64], spacing_m: float) -> float:
-    """Number of evenly spaced places on a side, ends included; a float, since it may be too large to count."""
-    intervals = float(np.hypot(*side)) / spacing_m
+def _run(
+    region: Region, v: float, u0: float, u1: float, spacing: float, depth_m: DepthAt | None
+) -> NDArray[np.float64]:
+    """Spread waypoints over one stretch of a line, ends included; one waypoint where it is shorter than nothing."""
+    if u1 - u0 < 2 * NOTHING_M:
+        return region.to_xy(np.array([0.5 * (u0 + u1)]), np.array([v]))
+    if depth_m is None:
+        u = np.linspace(u0, u1, int(_count(u1 - u0, spacing)))
+        return region.to_xy(u, np.full_like(u, v))
+    fine = np.linspace(u0, u1, _ARC_STEPS * int(_count(u1 - u0, spacing)) + 1)
+    depth = depth_m(region.to_xy(fine, np.full_like(fine, v)))
+    length = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(fine), np.diff(depth)))))
+    u = np.interp(np.linspace(0.0, length[-1], int(_count(length[-1], spacing))), length, fine)
+    return region.to_xy(u, np.full_like(u, v))
+
+
+def _count(length_m: float, spacing_m: float) -> float:
+    """Number of evenly spaced places on a length, ends included; a float, since it may be too large to count."""
     # A side of 3 mm is 60.0000000001 intervals of 50 um in binary; that is 60.
-    return max(float(np.ceil(intervals * (1.0 - 1e-9))), 1.0) + 1.0
+    return max(float(np.ceil(length_m / spacing_m * (1.0 - 1e-9))), 1.0) + 1.0

@@ -7,7 +7,7 @@ import pytest
 
 from octn_ros.demo.rectangle import centred_rectangle
 from octn_ros.errors import PlanError
-from octn_ros.planning.raster import rectangle_corners
+from octn_ros.planning import rectangle_corners
 from octn_ros.volume import VolumeGeometry
 
 
