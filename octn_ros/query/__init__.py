@@ -1,15 +1,28 @@
 """What one asks of a field: where the surface is, how bright it is, and pictures of it."""
 
+from octn_ros.query.bands import PAPER_BANDS, BandPoints, BandQuery, find_band
+from octn_ros.query.lattice import Lattice
 from octn_ros.query.native_surface import native_surface
+from octn_ros.query.regions import Box, EnfacePolygon, Region, Sphere, polygon
 from octn_ros.query.slices import bscan_slice, enface
 from octn_ros.query.surface import SurfaceMap, SurfaceMapConfig, surface_intensity, surface_map
 
 __all__ = [
+    "PAPER_BANDS",
+    "BandPoints",
+    "BandQuery",
+    "Box",
+    "EnfacePolygon",
+    "Lattice",
+    "Region",
+    "Sphere",
     "SurfaceMap",
     "SurfaceMapConfig",
     "bscan_slice",
     "enface",
+    "find_band",
     "native_surface",
+    "polygon",
     "surface_intensity",
     "surface_map",
 ]
