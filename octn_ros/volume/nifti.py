@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import warnings
+import dataclasses
+import gzip
+import math
 import zlib
+from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import nibabel
 import numpy as np
@@ -14,102 +16,137 @@ from nibabel.nifti1 import Nifti1Extension
 from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
-from octn_ros.volume.geometry import OCT_FRAME, VolumeGeometry
-from octn_ros.volume.volume import Volume
+from octn_ros.volume.geometry import VolumeGeometry
+from octn_ros.volume.scan_header import RawScan, ReadRequest, ScanHeader, integer_range
+from octn_ros.volume.slabs import read_fortran_order
+from octn_ros.volume.volume import Volume, kept_type
 
 _METRES_PER_UNIT = {"meter": 1.0, "mm": 1e-3, "micron": 1e-6}
 # Intensity range, scale and acquisition time have no field in the NIfTI header: they travel as JSON in a comment.
 _COMMENT_CODE = 6
-_COMMENT_KEY = "octn_volume"
+_MAX_HEADER_BYTES = 2**24  # extensions are comments; a header that claims more is damaged
+_SPACING_ROUNDING = 1e-6  # NIfTI keeps spacings in single precision
 
 
-def load_volume(path: str | Path, spacing_um: tuple[float, float, float] | None = None) -> Volume:
-    """Read a C-scan from a NIfTI file (.nii or .nii.gz) whose axes are [bscan, axial, lateral].
-
-    Args:
-        path: the file.
-        spacing_um: micrometres between voxels along (bscan, axial, lateral); overrides what the file states.
+def read_nifti(path: Path, request: ReadRequest) -> RawScan:
+    """Read the header of a .nii or .nii.gz file.
 
     Raises:
-        VolumeError: the file is missing, empty, truncated or no NIfTI, its spacing is unstated and none is given, or
-            its voxels are unusable.
+        VolumeError: the file is no NIfTI, is damaged, or claims more than it has or may.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise VolumeError(f"{path}: no such file; expected a C-scan as .nii or .nii.gz")
-    if path.stat().st_size == 0:
-        raise VolumeError(f"{path}: the file is empty; expected a C-scan as .nii or .nii.gz")
-    try:
-        image, array = _read(path)
-    except (nibabel.filebasedimages.ImageFileError, nibabel.spatialimages.HeaderDataError) as error:
-        raise VolumeError(f"{path}: expected a NIfTI file (.nii or .nii.gz), got something else: {error}") from error
-    except (OSError, EOFError, ValueError, OverflowError, zlib.error) as error:
-        raise VolumeError(f"{path}: the file is damaged or truncated: {error}") from error
-    if array.ndim == 4 and array.shape[3] == 1:
-        array = array[..., 0]
-    if array.ndim != 3:
-        raise VolumeError(f"{path}: expected three axes [bscan, axial, lateral], got {array.shape}")
-    stated = _read_comment(image)
-    try:
-        volume = Volume.from_array(
-            array,
-            _spacing_m(image, spacing_um),
-            intensity_range=tuple(stated["intensity_range"]) if "intensity_range" in stated else None,
-            intensity_scale=stated.get("intensity_scale", "unknown"),
-            origin_m=tuple(stated.get("origin_m", (0.0, 0.0, 0.0))),
-            stamp_ns=int(stated.get("stamp_ns", 0)),
-        )
-    except VolumeError as error:
-        raise VolumeError(f"{path}: {error}") from error
-    return volume
+    compressed = _is_gzip(path)
+    with _opened(path, compressed) as file:
+        header, comment = _read_header(file)
+    shape = _three_axes(tuple(int(n) for n in header.get_data_shape()))
+    stored_type = header.get_data_dtype()
+    offset, size = int(header.get_data_offset()), path.stat().st_size
+    stored = size if compressed else max(0, size - offset)
+    request.limit.check_array(shape, stored_type, stored, compressed=compressed)
+    slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
+    if not (math.isfinite(slope) and slope != 0):  # as the standard has it: the scaling is not used
+        slope, intercept = 1.0, 0.0
+    if not math.isfinite(intercept):
+        raise VolumeError(f"expected a finite intercept of the intensities, got {intercept}")
+    scaled = (slope, intercept) != (1.0, 0.0)
+
+    def read_voxels() -> NDArray[Any]:
+        array = np.empty(shape, np.float32 if scaled else kept_type(stored_type))
+        with _opened(path, compressed) as file:
+            _skip(file, offset)
+
+            def convert(slab: NDArray[Any]) -> NDArray[Any]:
+                return slab * slope + intercept if scaled else slab
+
+            read_fortran_order(file, stored_type, array, convert)
+            file.read(1)  # reaching its end makes gzip check the sum of what was read
+        return array
+
+    return RawScan(_scan_header(header, comment), read_voxels, None if scaled else integer_range(stored_type))
 
 
-def save_volume(path: str | Path, volume: Volume) -> None:
-    """Write a C-scan as NIfTI with its spacing in millimetres, place, intensity range and scale.
+def write_nifti(path: Path, volume: Volume) -> None:
+    """Write a C-scan with its spacing in millimetres, place, intensity range and scale.
 
     Raises:
-        VolumeError: the file cannot be written.
+        OSError: the file cannot be written.
     """
-    geometry = volume.geometry
-    image = nibabel.Nifti1Image(volume.array, _affine_mm(geometry))
+    image = nibabel.Nifti1Image(volume.array, _affine_mm(volume.geometry))
     image.header.set_xyzt_units("mm")
-    comment = {
-        "intensity_range": list(volume.intensity_range),
-        "intensity_scale": volume.intensity_scale,
-        "origin_m": list(geometry.origin_m),
-        "frame": geometry.frame,
-        "stamp_ns": volume.stamp_ns,
-    }
-    content = json.dumps({_COMMENT_KEY: comment}).encode()
-    image.header.extensions.append(Nifti1Extension(_COMMENT_CODE, content))
+    image.header.extensions.append(Nifti1Extension(_COMMENT_CODE, ScanHeader.of(volume).to_json().encode()))
+    nibabel.save(image, path)
+
+
+def _is_gzip(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(2) == b"\x1f\x8b"
+
+
+def _opened(path: Path, compressed: bool) -> Any:
+    return closing(gzip.open(path) if compressed else path.open("rb"))
+
+
+def _read_header(file: BinaryIO) -> tuple[Any, ScanHeader | None]:
+    """Return nibabel's header and our comment.
+
+    nibabel's own way to the extensions reads as much as a damaged one claims, hence the walk through them here.
+    """
     try:
-        nibabel.save(image, path)
-    except (OSError, nibabel.filebasedimages.ImageFileError) as error:
-        raise VolumeError(f"{path}: cannot write the volume: {error}") from error
+        block = file.read(540)
+    except (OSError, EOFError, zlib.error) as error:
+        raise VolumeError(f"the file is damaged or truncated: {error}") from error
+    size = next((n for n in (348, 540) if block[:4] in (n.to_bytes(4, "little"), n.to_bytes(4, "big"))), 0)
+    if not size:
+        raise VolumeError("expected a NIfTI file (.nii or .nii.gz), got something else")
+    if len(block) < size:
+        raise VolumeError("the file is damaged or truncated: it ends within the NIfTI header")
+    kind = nibabel.Nifti1Header if size == 348 else nibabel.Nifti2Header
+    try:
+        header = kind(block[:size])
+    except (nibabel.spatialimages.HeaderDataError, ValueError, OverflowError) as error:
+        raise VolumeError(f"expected a NIfTI file (.nii or .nii.gz), its header is damaged: {error}") from error
+    if bytes(header["magic"])[:3] not in (b"n+1", b"n+2"):
+        raise VolumeError("expected a NIfTI file in one piece (.nii or .nii.gz), with the magic n+1 or n+2")
+    offset = header["vox_offset"]
+    if not size + 4 <= offset <= _MAX_HEADER_BYTES:
+        raise VolumeError(f"expected voxels at byte {size + 4} to {_MAX_HEADER_BYTES} of a NIfTI file, got {offset}")
+    extensions = (block[size:] + file.read(max(0, int(offset) - len(block))))[4 : int(offset) - size]
+    return header, _comment(extensions, header.endianness)
 
 
-def _read(path: Path) -> tuple[Any, NDArray[Any]]:
-    with warnings.catch_warnings():
-        # A damaged header can make nibabel warn before it raises; the error alone is what the caller needs.
-        warnings.simplefilter("ignore")
-        image = nibabel.load(path)
-        if not isinstance(image, nibabel.Nifti1Pair):  # Nifti2 derives from it
-            raise nibabel.filebasedimages.ImageFileError(f"a {type(image).__name__}")
-        return image, np.asanyarray(image.dataobj)
+def _comment(extensions: bytes, endianness: str) -> ScanHeader | None:
+    order = "little" if endianness == "<" else "big"
+    while len(extensions) >= 16:
+        size, code = (int.from_bytes(extensions[i : i + 4], order, signed=True) for i in (0, 4))  # type: ignore[arg-type]
+        if not 8 < size <= len(extensions):
+            return None
+        if code == _COMMENT_CODE:
+            stated = ScanHeader.from_json(extensions[8:size].rstrip(b"\0"))
+            if stated is not None:
+                return stated
+        extensions = extensions[size:]
+    return None
 
 
-def _spacing_m(image: Any, spacing_um: tuple[float, float, float] | None) -> tuple[float, float, float]:
-    if spacing_um is not None:
-        bscan, axial, lateral = (float(s) * 1e-6 for s in spacing_um)
-        return bscan, axial, lateral
-    unit = image.header.get_xyzt_units()[0]
-    if unit not in _METRES_PER_UNIT:
-        raise VolumeError(
-            "the file does not state the unit of its spacing; give it in micrometres as "
-            "--spacing-um BSCAN AXIAL LATERAL, in Python as spacing_um"
-        )
-    bscan, axial, lateral = (float(z) * _METRES_PER_UNIT[unit] for z in image.header.get_zooms()[:3])
-    return bscan, axial, lateral
+def _three_axes(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    while len(shape) > 3 and shape[-1] == 1:
+        shape = shape[:-1]
+    if len(shape) != 3:
+        raise VolumeError(f"expected three axes [bscan, axial, lateral], got {shape}")
+    return shape
+
+
+def _skip(file: BinaryIO, count: int) -> None:
+    if len(file.read(count)) < count:
+        raise VolumeError("the file is damaged or truncated: it ends before its voxels")
+
+
+def _scan_header(header: Any, comment: ScanHeader | None) -> ScanHeader:
+    stated = comment or ScanHeader()
+    metres, exact = _METRES_PER_UNIT.get(header.get_xyzt_units()[0]), stated.spacing_m
+    spacing = tuple(float(z) * metres for z in header.get_zooms()[:3]) if metres is not None else None
+    if exact and spacing and all(abs(a - b) <= _SPACING_ROUNDING * abs(b) for a, b in zip(exact, spacing, strict=True)):
+        spacing = exact
+    return dataclasses.replace(stated, spacing_m=spacing)
 
 
 def _affine_mm(geometry: VolumeGeometry) -> NDArray[np.float64]:
@@ -119,16 +156,3 @@ def _affine_mm(geometry: VolumeGeometry) -> NDArray[np.float64]:
     affine[:3, 3] = origin
     affine[:3] *= 1e3
     return affine
-
-
-def _read_comment(image: Any) -> dict[str, Any]:
-    for extension in image.header.extensions:
-        if extension.get_code() == _COMMENT_CODE:
-            try:
-                content = json.loads(bytes(extension.content).rstrip(b"\0"))
-            except ValueError:
-                continue
-            stated = content.get(_COMMENT_KEY) if isinstance(content, dict) else None
-            if isinstance(stated, dict) and stated.get("frame", OCT_FRAME) == OCT_FRAME:
-                return stated
-    return {}

@@ -81,12 +81,8 @@ class Volume:
         geometry = VolumeGeometry(tuple(array.shape), tuple(spacing_m), tuple(origin_m), frame)  # type: ignore[arg-type]
         if intensity_range is None:
             intensity_range = _default_range(array)
-        if array.dtype.kind == "u" and array.dtype.itemsize <= 2:
-            kept = array.dtype.newbyteorder("=")
-        else:
-            kept = np.dtype(np.float32)
         # One step for type and order: a volume of this size has no room for two copies.
-        array = np.ascontiguousarray(array.astype(kept, order="C", copy=False))
+        array = np.ascontiguousarray(array.astype(kept_type(array.dtype), order="C", copy=False))
         return cls(array, geometry, intensity_range, intensity_scale, stamp_ns)
 
     def normalized(self, index: Any = ...) -> NDArray[np.float32]:
@@ -107,6 +103,13 @@ class Volume:
         return dataclasses.replace(
             self, array=np.ascontiguousarray(intensity, dtype=np.float32), intensity_range=(0.0, 1.0)
         )
+
+
+def kept_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type in which a Volume keeps voxels of a real type: itself for uint8 and uint16, or float32."""
+    if dtype.kind == "u" and dtype.itemsize <= 2:
+        return dtype.newbyteorder("=")
+    return np.dtype(np.float32)
 
 
 def _default_range(array: NDArray[Any]) -> tuple[float, float]:
