@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from dataclasses import dataclass
@@ -60,7 +61,7 @@ class Query(Node):
         self._config = ConfigParameters(self, QueryNodeConfig(), read_only=("device", "calibration"))
         self._search_config = ConfigParameters(self, SurfaceSearchConfig(), "search")
         # Normals are found as the planner finds them; where the focus would lie is not asked here.
-        placing = ("orientation", "standoff_m")
+        placing = {setting.name for setting in dataclasses.fields(WaypointConfig)} - {"normal_radius_voxels"}
         self._normal_config = ConfigParameters(self, WaypointConfig(), "waypoints", leave_out=placing)
         config = self._config.config()
         self._frames = ScanFrames(load_calibration(config.calibration or config_path("calibration.yaml")))

@@ -3,34 +3,142 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from octn_ros.errors import PlanError
+from octn_ros.errors import ConfigurationError, PlanError
 from octn_ros.field import Field
 from octn_ros.settings import check_settings, setting
 
 ORIENTATIONS = ("beam", "normal")
+STANDOFF_ALONG = ("pose", "beam", "normal")
+BEAM = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class WaypointConfig:
-    """Where the laser focus lies with respect to the surface, and which way it looks."""
+    """Where the laser focus lies with respect to the surface, and which way it looks.
+
+    Raises:
+        ConfigurationError: a value is not allowed, or both a standoff and a depth offset are given.
+    """
 
     orientation: str = setting("beam", "z of a waypoint: along the beam or the inward normal", choices=ORIENTATIONS)
+    max_tilt_deg: float = setting(
+        45.0, "largest angle of a waypoint's z against the beam, for orientation normal", unit="deg", low=0.0, high=89.0
+    )
+    beyond_tilt: str = setting(
+        "limit", "what becomes of a waypoint whose normal is tilted further: tilted to the limit and flagged, or the "
+        "plan refused", choices=("limit", "refuse"),
+    )  # fmt: skip
     standoff_m: float = setting(
-        0.0, "distance of the focus from the surface, against z; positive lies towards the probe", unit="m",
+        0.0, "distance of the focus from the surface; positive lies towards the probe", unit="m",
         low=-0.01, high=0.01,
     )  # fmt: skip
+    standoff_along: str = setting(
+        "pose", "direction of the standoff: against the waypoint's own z, the OCT beam or the inward normal",
+        choices=STANDOFF_ALONG,
+    )  # fmt: skip
+    depth_offset_m: float = setting(
+        0.0, "depth of the focus below the surface as optical path, as the volume shows it; the focus lies this over "
+        "the refractive index along the refracted OCT beam", unit="m", low=0.0, high=0.01,
+    )  # fmt: skip
+    refractive_index: float = setting(1.38, "group refractive index of the tissue", low=1.0, high=3.0)
     normal_radius_voxels: float = setting(
         2.0, "lateral reach of the gradients that are averaged to a normal", unit="voxels", low=0.0, high=20.0
     )
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.standoff_m != 0.0 and self.depth_offset_m != 0.0:
+            raise ConfigurationError(
+                "WaypointConfig: expected a standoff or a depth offset, got both "
+                f"({self.standoff_m * 1e6:g} um and {self.depth_offset_m * 1e6:g} um); set one of them to 0"
+            )
+
+    @property
+    def needs_normals(self) -> bool:
+        """Whether a waypoint depends on the surface's normal: by its z, its standoff or the refraction above it."""
+        by_standoff = self.standoff_m != 0.0 and self.standoff_along == "normal"
+        return self.orientation == "normal" or by_standoff or self.depth_offset_m > 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Poses of the laser focus over surface points; read-only.
+
+    Attributes:
+        poses_oct: Waypoint2oct [N, 4, 4].
+        normals: unit normals of the surface into the tissue [N, 3] in the OCT frame; along the beam if nobody asked.
+        tilt_limited: whether the normal was tilted further than allowed and the pose is not along it [N].
+    """
+
+    poses_oct: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    tilt_limited: NDArray[np.bool_]
+
+
+def place_waypoints(field: Field, surface_m: NDArray[np.float64], config: WaypointConfig) -> Waypoints:
+    """Put a waypoint on each surface point, or off it as configured.
+
+    Args:
+        field: the field, asked for normals where they are needed.
+        surface_m: surface points (x, y, z) [N, 3] in the OCT frame, in metres.
+        config: which way the waypoints look and how far off they lie.
+
+    Raises:
+        PlanError: a normal is tilted beyond the limit and such waypoints are refused.
+    """
+    surface = np.asarray(surface_m, dtype=np.float64)
+    normals = np.broadcast_to(BEAM, surface.shape)
+    if config.needs_normals:
+        normals = inward_normals(field, surface, config.normal_radius_voxels)
+    z, limited = np.broadcast_to(BEAM, surface.shape), np.zeros(len(surface), dtype=np.bool_)
+    if config.orientation == "normal":
+        z, limited = limit_tilt(normals, math.radians(config.max_tilt_deg))
+        if config.beyond_tilt == "refuse" and limited.any():
+            first = int(np.argmax(limited))
+            x, y = surface[first, :2] * 1e3
+            raise PlanError(
+                f"expected waypoints tilted by at most {config.max_tilt_deg:g} degrees against the beam, got "
+                f"{int(limited.sum())} of {len(limited)} beyond it; waypoint {first} at ({x:.3f}, {y:.3f}) mm needs "
+                f"{math.degrees(math.acos(normals[first, 2])):.1f}. Turn the probe to the surface, or limit the tilt"
+            )
+    off = {"pose": z, "beam": np.broadcast_to(BEAM, surface.shape), "normal": normals}[config.standoff_along]
+    focus = surface - config.standoff_m * off
+    if config.depth_offset_m > 0.0:
+        inside = refract(BEAM, normals, config.refractive_index)
+        focus = surface + config.depth_offset_m / config.refractive_index * inside
+    return Waypoints(waypoint_poses(focus, z, 0.0), normals, limited)
+
+
+def limit_tilt(axes: NDArray[np.float64], max_tilt_rad: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Tilt unit vectors [N, 3] with z > 0 back to a largest angle against z, in their own azimuth; tell which [N]."""
+    lateral = np.linalg.norm(axes[:, :2], axis=1)
+    limited = np.arctan2(lateral, axes[:, 2]) > max_tilt_rad + 1e-9
+    towards = axes[:, :2] / np.where(lateral > 0, lateral, 1.0)[:, None]
+    tilted = np.column_stack([math.sin(max_tilt_rad) * towards, np.full(len(axes), math.cos(max_tilt_rad))])
+    return np.where(limited[:, None], tilted, axes), limited
+
+
+def refract(
+    incident: NDArray[np.float64], normals: NDArray[np.float64], refractive_index: float
+) -> NDArray[np.float64]:
+    """Return the directions [N, 3] of a beam from air inside the tissue (Snell's law): sin t = sin i / n.
+
+    Args:
+        incident: unit direction of the beam in air [3] or [N, 3].
+        normals: unit normals of the surface into the tissue [N, 3].
+        refractive_index: n of the tissue over that of air, at least 1.
+    """
+    ratio = 1.0 / refractive_index
+    cosine = np.sum(incident * normals, axis=1, keepdims=True)
+    inside = np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))
+    return np.asarray(ratio * incident + (inside - ratio * cosine) * normals, dtype=np.float64)
 
 
 def inward_normals(field: Field, points_m: NDArray[np.floating], radius_voxels: float = 2.0) -> NDArray[np.float64]:
