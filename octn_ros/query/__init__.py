@@ -1,10 +1,11 @@
 """What one asks of a field: where the surface is, how bright it is, and pictures of it."""
 
 from octn_ros.query.bands import PAPER_BANDS, BandPoints, BandQuery, find_band
+from octn_ros.query.enface_views import enface, layer_mean
 from octn_ros.query.lattice import Lattice
 from octn_ros.query.native_surface import native_surface
 from octn_ros.query.regions import Box, EnfacePolygon, Region, Sphere, polygon
-from octn_ros.query.slices import bscan_slice, enface
+from octn_ros.query.slices import Plane, axial_slice, bscan_slice, lateral_slice, plane_slice
 from octn_ros.query.surface import SurfaceMap, SurfaceMapConfig, surface_intensity, surface_map
 
 __all__ = [
@@ -14,14 +15,19 @@ __all__ = [
     "Box",
     "EnfacePolygon",
     "Lattice",
+    "Plane",
     "Region",
     "Sphere",
     "SurfaceMap",
     "SurfaceMapConfig",
+    "axial_slice",
     "bscan_slice",
     "enface",
     "find_band",
+    "lateral_slice",
+    "layer_mean",
     "native_surface",
+    "plane_slice",
     "polygon",
     "surface_intensity",
     "surface_map",

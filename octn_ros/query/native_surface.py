@@ -48,6 +48,6 @@ def native_surface(volume: Volume, *, rises_only: bool = False) -> NDArray[np.fl
             "native_surface: expected intensities that change along the beam, got none that do; is the axial axis "
             "where it should be in [bscan, axial, lateral]?"
         )
-    index = np.empty((bscans, laterals, 3))
+    index: NDArray[np.float64] = np.empty((bscans, laterals, 3))
     index[..., 0], index[..., 1], index[..., 2] = np.arange(bscans)[:, None], depth, np.arange(laterals)
-    return volume.geometry.voxel_to_metric(index).reshape(-1, 3)
+    return np.asarray(volume.geometry.voxel_to_metric(index.reshape(-1, 3)), dtype=np.float64)
