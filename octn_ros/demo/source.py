@@ -42,7 +42,7 @@ def phantom_source(config: PhantomConfig) -> ScanSource:
         volume=phantom.volume,
         truth=phantom.truth,
         surface_depth_m=phantom.surface_depth_m,
-        simulator_parameters={f"phantom.{name}": value for name, value in values.items()},
+        simulator_parameters=_dotted("phantom", values),
         description=values,
     )
 
@@ -65,6 +65,14 @@ def recorded_source(path: Path, spacing_um: tuple[float, float, float] | None) -
         simulator_parameters=parameters,
         description={"file": str(path), **volume.geometry.to_plain(), "intensity_scale": volume.intensity_scale},
     )
+
+
+def _dotted(prefix: str, values: dict[str, Any]) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    for name, value in values.items():
+        name = f"{prefix}.{name}"
+        parameters.update(_dotted(name, value) if isinstance(value, dict) else {name: value})
+    return parameters
 
 
 def _extent(volume: Volume) -> str:
