@@ -81,8 +81,7 @@ def test_gradient_works_inside_no_grad_and_for_no_points(field):
 
 
 def test_lattice_equals_points(field, monkeypatch):
-    for module in ("field", "neural"):
-        monkeypatch.setattr(f"octn_ros.field.{module}.CHUNK_POINTS", 11)
+    monkeypatch.setattr("octn_ros.field.field.CHUNK_POINTS", 11)
     lateral, axial, bscan = torch.linspace(-1, 1, 5), torch.linspace(-0.9, 0.7, 4), torch.tensor([-0.3, 0.1, 0.8])
     got = field.lattice(lateral, axial, bscan)
     assert got.shape == (3, 4, 5)

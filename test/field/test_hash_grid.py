@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from octn_ros.errors import ConfigurationError
+from octn_ros.field.grid_level import GridLevel
 from octn_ros.field.hash_grid import HashGrid, HashGridConfig
 
 SHAPE = (20, 30, 40)
@@ -40,7 +41,7 @@ def test_paper_preset_stores_what_the_paper_says():
     with torch.device("meta"):
         grid = HashGrid(HashGridConfig(), (256, 512, 512))
     assert grid.width == 48
-    hashed = [level for level in grid._levels if not level.dense]
+    hashed = [level for level in grid.grid_levels if not level.dense]
     assert hashed
     assert all(level.size == 2**20 for level in hashed)
 
@@ -48,15 +49,15 @@ def test_paper_preset_stores_what_the_paper_says():
 def test_dense_vertices_are_distinct_rows():
     grid = made(DENSE)
     corners = torch.tensor([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], dtype=torch.float64)
-    for level in grid._levels:
+    for level in grid.grid_levels:
         assert level.dense
         rows, _ = level.corners((corners + 1) / 2)
         assert rows.min() >= level.first_row
         assert rows.max() < level.first_row + level.size
     axis = (torch.arange(int(DENSE.base_resolution)) + 0.0) / (DENSE.base_resolution - 1)
     lattice = torch.cartesian_prod(axis, axis, axis).double()
-    rows, _ = grid._levels[0].corners(lattice)
-    assert rows.unique().numel() == math.prod(grid._levels[0].vertices)
+    rows, _ = grid.grid_levels[0].corners(lattice)
+    assert rows.unique().numel() == math.prod(grid.grid_levels[0].vertices)
 
 
 def test_weights_are_a_partition_of_unity():
@@ -83,7 +84,7 @@ def test_position_gradient_matches_differences_inside_cells(config):
     where, step = points(200, seed=3), 1e-6
     # Keep to points whose neighbours at +-step lie in the same cell of every level.
     keep = torch.ones(len(where), dtype=torch.bool)
-    for level in grid._levels:
+    for level in grid.grid_levels:
         position = (where + 1) / 2 * torch.tensor(level.scale) + 0.5
         keep &= ((position - position.round()).abs() > 1e-3).all(-1)
     where = where[keep].requires_grad_(True)
@@ -100,7 +101,7 @@ def test_position_gradient_matches_differences_inside_cells(config):
 
 def test_continuous_across_cell_faces():
     grid = made(HASHED)
-    for level in grid._levels:
+    for level in grid.grid_levels:
         face = torch.full((1, 3), 0.3, dtype=torch.float64)
         face[0, 1] = (math.floor(level.scale[1] / 2) - 0.5) / level.scale[1] * 2 - 1
         shift = torch.tensor([0, 1e-9, 0], dtype=torch.float64)
@@ -128,3 +129,12 @@ def test_lattice_path_equals_points(config):
     b, a, w = torch.meshgrid(bscan, axial, lateral, indexing="ij")
     expected = grid(torch.stack((w, a, b), -1).reshape(-1, 3)).detach()
     torch.testing.assert_close(got.reshape(-1, grid.width), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_a_far_face_that_rounds_up_stays_in_the_table():
+    """A scale just below n + 1/2 rounds to it in float32: the far face must not land in a cell that is not there."""
+    level = GridLevel.fit((1.5 - 1e-9,) * 3, 64, 0, smooth=False)
+    rows, weights = level.corners(torch.ones(1, 3))
+    assert level.vertices == (3, 3, 3)
+    assert int(rows.max()) == 26
+    torch.testing.assert_close(weights.sum(), torch.tensor(1.0))
