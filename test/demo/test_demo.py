@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from octn_ros.cli import main
+from octn_ros.settings import from_plain
 from octn_ros.simulation import PhantomConfig, make_phantom
 from octn_ros.volume import save_volume
 
@@ -119,6 +120,12 @@ def test_a_parameter_that_a_node_refuses_ends_the_run(small_source):
 
 def test_the_simulator_makes_the_same_phantom(small_source):
     """Seed and configuration are the phantom's identity, also after their way through the node's parameters."""
-    values = {name.removeprefix("phantom."): value for name, value in small_source.simulator_parameters.items()}
-    again = make_phantom(PhantomConfig(**values))
+    plain: dict = {}
+    for name, value in small_source.simulator_parameters.items():
+        _, *groups, setting = name.split(".")
+        place = plain
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[setting] = value
+    again = make_phantom(from_plain(PhantomConfig, plain))
     assert np.array_equal(again.volume.array, small_source.volume.array)
