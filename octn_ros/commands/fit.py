@@ -12,10 +12,17 @@ from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 
 if TYPE_CHECKING:
+    from octn_ros.field import NeuralField
     from octn_ros.training import FitConfig, FitProgress
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.training.PRESETS.
 PRESET_NAMES = ("fast", "paper")
+ENDS = {
+    "steps": "all steps done",
+    "time": "time budget spent",
+    "target": "target PSNR reached",
+    "diverged": "diverged; this is the last good state",
+}
 
 
 @dataclass(frozen=True)
@@ -23,11 +30,13 @@ class FitCommand:
     """Fit a field to one C-scan file.
 
     Attributes:
-        volume: the NIfTI file.
+        volume: the C-scan file.
         output: the safetensors file to write.
         spacing_um: spacing along (bscan, axial, lateral), overrides the file's.
         preset: settings to start from.
-        alpha, time_budget_s, steps, seed: override the preset's, None keeps it.
+        alpha, time_budget_s, target_psnr_db, steps, seed: override the preset's, None keeps it.
+        start: a field of an earlier scan of the same geometry to begin with.
+        picture: a PNG to draw.
         device: auto, cpu, cuda, ...
         json: print JSON instead of a table.
     """
@@ -38,8 +47,11 @@ class FitCommand:
     preset: str = "fast"
     alpha: float | None = None
     time_budget_s: float | None = None
+    target_psnr_db: float | None = None
     steps: int | None = None
     seed: int | None = None
+    start: Path | None = None
+    picture: Path | None = None
     device: str = "auto"
     json: bool = False
 
@@ -49,7 +61,11 @@ class FitCommand:
         Raises:
             OctnError: an argument or a file cannot be used.
         """
-        terminal.check_output_file(self.output)
+        for path, suffix in ((self.output, ".safetensors"), (self.picture, ".png")):
+            if path is not None:
+                if path.suffix.lower() != suffix:
+                    raise terminal.CommandError(f"{path}: expected a file name that ends in {suffix}")
+                terminal.check_output_file(path)
         from octn_ros.field import save_field
         from octn_ros.field.device import torch_device
         from octn_ros.training import fit
@@ -57,14 +73,20 @@ class FitCommand:
 
         config = self._config()
         device = torch_device(self.device)
+        start = self._start_field()
         volume = load_volume(self.volume, self.spacing_um)
         with terminal.ProgressBar() as bar:
 
             def show(progress: FitProgress) -> None:
                 bar.show("fitting the field", progress.fraction, _remark(progress))
 
-            result = fit(volume, config, device=device, progress=show)
+            result = fit(volume, config, device=device, progress=show, start=start)
         save_field(self.output, result.field)
+        if self.picture is not None:
+            from octn_ros.commands.fit_picture import fit_picture
+
+            terminal.write_bytes(self.picture, fit_picture(volume, result.field, result.history))
+        training = result.field.description.training
         values = {
             "field": str(self.output),
             "bytes": self.output.stat().st_size,
@@ -72,10 +94,13 @@ class FitCommand:
             "device": str(device),
             "fit_s": result.seconds,
             "steps": result.steps,
+            "samples": result.steps * config.batch,
+            "ended": result.ended,
             "psnr_db": result.psnr_db,
         }
         if self.json:
-            terminal.print_json(values | {"config": dataclasses.asdict(config)})
+            history = [dataclasses.asdict(report) for report in result.history]
+            terminal.print_json(values | {"config": training["config"], "history": history})
         else:
             terminal.print_table(f"{self.volume.name}: fitted", _rows(values))
         return 0
@@ -85,17 +110,27 @@ class FitCommand:
 
         given = {
             name: getattr(self, name)
-            for name in ("alpha", "time_budget_s", "steps", "seed")
+            for name in ("alpha", "time_budget_s", "target_psnr_db", "steps", "seed")
             if getattr(self, name) is not None
         }
         config: FitConfig = dataclasses.replace(PRESETS[self.preset], **given)
         return config
 
+    def _start_field(self) -> NeuralField | None:
+        if self.start is None:
+            return None
+        from octn_ros.field import NeuralField, load_field
+
+        field = load_field(self.start)
+        if not isinstance(field, NeuralField):
+            raise terminal.CommandError(f"{self.start}: expected a neural field to start from, got a {field.kind} one")
+        return field
+
 
 def add_parser(commands: Any) -> None:
     """Add the command to the parser's subcommands."""
     parser = commands.add_parser("fit", help="fit a field to a C-scan file", description=__doc__)
-    parser.add_argument("volume", type=Path, metavar="VOLUME", help="C-scan [bscan, axial, lateral], .nii or .nii.gz")
+    parser.add_argument("volume", type=Path, metavar="VOLUME", help="C-scan [bscan, axial, lateral]")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE", help="the field to write, .safetensors"
     )
@@ -105,8 +140,17 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--alpha", type=float, help="share of interpolated samples in the hybrid stage, 0 to 1")
     parser.add_argument("--time-budget-s", type=float, metavar="S", help="end the fit after S seconds, 0 for never")
+    parser.add_argument(
+        "--target-psnr-db", type=float, metavar="DB", help="end the fit at this PSNR on held-in voxels, 0 for never"
+    )
     parser.add_argument("--steps", type=int, metavar="N", help="end the fit after N gradient steps")
     parser.add_argument("--seed", type=int, metavar="N", help="of the first parameters and of all samples")
+    parser.add_argument(
+        "--start", type=Path, metavar="FIELD", help="begin with this field of an earlier scan of the same geometry"
+    )
+    parser.add_argument(
+        "--picture", type=Path, metavar="PNG", help="draw a B-scan, measured and fitted, and the PSNR curve"
+    )
     parser.add_argument("--device", default="auto", help="auto (a GPU if there is one), cpu, cuda, cuda:1, ...")
     common.add_json(parser)
     parser.set_defaults(read=_read)
@@ -120,8 +164,11 @@ def _read(arguments: argparse.Namespace) -> FitCommand:
         preset=arguments.preset,
         alpha=arguments.alpha,
         time_budget_s=arguments.time_budget_s,
+        target_psnr_db=arguments.target_psnr_db,
         steps=arguments.steps,
         seed=arguments.seed,
+        start=arguments.start,
+        picture=arguments.picture,
         device=arguments.device,
         json=arguments.json,
     )
@@ -134,7 +181,8 @@ def _remark(progress: FitProgress) -> str:
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         ("fit time", f"{values['fit_s']:.1f} s on {values['device']}, preset {values['preset']}"),
-        ("steps", f"{values['steps']}"),
+        ("steps", f"{values['steps']}, {values['samples'] / 1e6:.1f} M samples"),
+        ("ended", ENDS[values["ended"]]),
         ("PSNR against the measured voxels", f"{values['psnr_db']:.2f} dB, 16 evenly spaced B-scans"),
         ("field", f"{values['field']}, {values['bytes'] / 1e6:.1f} MB"),
     ]

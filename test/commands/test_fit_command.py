@@ -33,6 +33,36 @@ def test_a_fit_writes_a_field_and_one_json_object(scan_file, tmp_path, capsys):
     assert field.geometry.shape == (14, 24, 16)
     assert field.description.training["steps"] == 12
     assert field.description.training["psnr_db"] == pytest.approx(values["psnr_db"])
+    assert values["ended"] == "steps"
+    assert values["history"][-1]["step"] == 12
+    assert values["config"] == field.description.training["config"]
+
+
+def test_a_target_and_a_start_field_shorten_the_fit(scan_file, field_file, tmp_path, capsys):
+    output = tmp_path / "again.safetensors"
+    more = ("--start", str(field_file), "--target-psnr-db", "15", "--steps", "200", "--device", "cpu", "--json")
+    assert fit(scan_file, output, *more) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["ended"] == "target"
+    assert values["steps"] < 200
+    assert values["history"][-1]["psnr_db"] >= 15
+
+
+def test_a_picture_on_request(scan_file, tmp_path, capsys):
+    picture = tmp_path / "fit.png"
+    more = ("--steps", "4", "--device", "cpu", "--picture", str(picture))
+    assert fit(scan_file, tmp_path / "field.safetensors", *more) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_fit_that_diverged_says_so(scan_file, tmp_path, capsys, monkeypatch):
+    from octn_ros.training.divergence import DivergenceGuard
+
+    losses = iter([False] * 29 + [True])
+    monkeypatch.setattr(DivergenceGuard, "diverged", lambda self, loss: next(losses))
+    assert fit(scan_file, tmp_path / "field.safetensors", "--device", "cpu") == 0
+    assert "diverged; this is the last good state" in capsys.readouterr().out
+    assert (tmp_path / "field.safetensors").exists()
 
 
 def test_the_table_is_for_people(unstated_file, tmp_path, capsys):
@@ -52,6 +82,9 @@ def test_the_table_is_for_people(unstated_file, tmp_path, capsys):
         (("--time-budget-s", "-1"), "time_budget_s"),
         (("--time-budget-s", "nan"), "time_budget_s"),
         (("--seed", "-3"), "seed"),
+        (("--target-psnr-db", "-1"), "target_psnr_db"),
+        (("--picture", "fit.jpg"), "ends in .png"),
+        (("--start", "missing.safetensors"), "missing.safetensors"),
         (("--device", "abacus"), "abacus"),
         (("--spacing-um", "0", "5", "20"), "positive spacings"),
     ],
@@ -71,6 +104,7 @@ def test_bad_files_are_refused_before_and_after(scan_file, unstated_file, tmp_pa
         (unstated_file, tmp_path / "field.safetensors"),
         (scan_file, tmp_path / "missing" / "field.safetensors"),
         (scan_file, tmp_path),
+        (scan_file, tmp_path / "field.nii"),
     ):
         assert fit(scan, output, "--steps", "1") == 2
         output = capsys.readouterr()
