@@ -21,6 +21,7 @@ from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.planning import (
+    RasterPattern,
     SurfaceSearchConfig,
     WaypointConfig,
     find_surface,
@@ -28,7 +29,6 @@ from octn_ros.planning import (
     load_calibration,
     waypoint_poses,
 )
-from octn_ros.query import surface_intensity, surface_map
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
 
@@ -97,8 +97,8 @@ class Query(Node):
         config, search = self._config.config(), self._search_config.config()
         start, goal = (self._frames.to_oct(pose)[:2, 3] for pose in (request.start, request.goal))
         points = _line(start, goal, conversions.shortest_decimal(request.tolerance) or config.sample_spacing_m)
-        tau = config.tau or surface_intensity(surface_map(received.field, search.coarse))
-        found = find_surface(received.field, points, tau, search)
+        line = RasterPattern(points, np.zeros(len(points), dtype=np.int32))
+        found = find_surface(received.field, line, config.tau or None, search)
         kept = ~found.given_up
         if not kept.all():
             self.get_logger().warning(f"query_surface: no surface at {np.count_nonzero(~kept)} of {len(kept)} samples")

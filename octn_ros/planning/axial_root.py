@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -9,43 +10,87 @@ from torch import Tensor
 
 from octn_ros.field import Field
 
-_CHUNK_POINTS = 1 << 16
 # Halving an interval of a voxel this often ends below the resolution of float32.
 _BISECTIONS = 20
+# Points of the aperture: the middle, and rings of them with equal area for each point.
+_RINGS = (6, 12)
 
 
 @dataclass(frozen=True)
 class AxialLines:
     """Lines along the beam through a field, one for each raster point; depths along them are in axial voxels.
 
+    With an aperture a line answers the mean of the field over a disc around it that leans as the surface does, which
+    takes speckle out of a field that has it. Without one it answers the field itself.
+
     Attributes:
         field: the field they run through.
         lateral: canonical lateral coordinate of each line [N], on the field's device.
         bscan: canonical B-scan coordinate of each line [N].
+        disc: offsets [P, 2] of the aperture's points along (lateral, bscan) in canonical coordinates, or None.
+        lean: axial voxels per canonical unit along (lateral, bscan) of each line's disc [N, 2], or None.
     """
 
     field: Field
     lateral: Tensor
     bscan: Tensor
+    disc: Tensor | None = None
+    lean: Tensor | None = None
 
     @property
     def last(self) -> float:
         """Depth of the deepest voxel."""
         return float(self.field.geometry.shape[1] - 1)
 
-    def value(self, depth: Tensor, lines: Tensor) -> Tensor:
-        """Return the field's intensity [M] at depths [M] of the lines with index [M]."""
-        with torch.no_grad():
-            parts = [self.field.evaluate(part) for part in self._points(depth, lines).split(_CHUNK_POINTS)]
-        return torch.cat(parts)
+    def values(self, depth: Tensor, lines: Tensor) -> Tensor:
+        """Return the intensity [M, K] at depths [M, K] of the lines with index [M]."""
+        if self.disc is None or self.lean is None:
+            return self.field.axial_lines(self.lateral[lines], self.bscan[lines], self._canonical(depth))
+        lateral, bscan, shift = self._spread(lines)
+        points = len(self.disc)
+        deep = (depth[:, None, :] + shift[:, :, None]).reshape(-1, depth.shape[1])
+        values = self.field.axial_lines(lateral.reshape(-1), bscan.reshape(-1), self._canonical(deep))
+        return values.view(-1, points, depth.shape[1]).mean(dim=1)
 
     def value_and_slope(self, depth: Tensor, lines: Tensor) -> tuple[Tensor, Tensor]:
         """Return intensity [M] and its exact derivative by depth [M], per axial voxel."""
-        value, gradient = self.field.value_and_gradient(self._points(depth, lines))
-        return value, gradient[:, 1] * (2.0 / self.last)
+        if self.disc is None or self.lean is None:
+            place = self.lateral[lines], self._canonical(depth), self.bscan[lines]
+            value, slope = self.field.axial_value_and_slope(*place)
+            return value, slope * (2.0 / self.last)
+        lateral, bscan, shift = self._spread(lines)
+        deep = self._canonical(depth[:, None] + shift)
+        value, slope = self.field.axial_value_and_slope(lateral.reshape(-1), deep.reshape(-1), bscan.reshape(-1))
+        shape = (-1, len(self.disc))
+        return value.view(shape).mean(dim=1), slope.view(shape).mean(dim=1) * (2.0 / self.last)
 
-    def _points(self, depth: Tensor, lines: Tensor) -> Tensor:
-        return torch.stack((self.lateral[lines], depth * (2.0 / self.last) - 1.0, self.bscan[lines]), dim=-1)
+    def _canonical(self, depth: Tensor) -> Tensor:
+        return depth * (2.0 / self.last) - 1.0
+
+    def _spread(self, lines: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return canonical places and the shift in voxels of every point of the discs, [M, P] each."""
+        assert self.disc is not None and self.lean is not None
+        lateral = self.lateral[lines][:, None] + self.disc[:, 0]
+        bscan = self.bscan[lines][:, None] + self.disc[:, 1]
+        # Points beyond the scan are pulled to its border, and their share of the lean with them.
+        inside = lateral.clamp(-1, 1), bscan.clamp(-1, 1)
+        lean = self.lean[lines]
+        along = (inside[0] - self.lateral[lines][:, None]) * lean[:, :1]
+        across = (inside[1] - self.bscan[lines][:, None]) * lean[:, 1:]
+        return inside[0], inside[1], along + across
+
+
+def aperture_disc(radius: float) -> list[tuple[float, float]]:
+    """Return the points (x, y) of an aperture of that radius: one in the middle, the others on two rings."""
+    points, inside, count = [(0.0, 0.0)], 1, 1 + sum(_RINGS)
+    for ring in _RINGS:
+        distance = radius * math.sqrt((inside + ring / 2) / count)
+        points += [
+            (distance * math.cos(2 * math.pi * (k + 0.5) / ring), distance * math.sin(2 * math.pi * (k + 0.5) / ring))
+            for k in range(ring)
+        ]
+        inside += ring
+    return points
 
 
 @dataclass(frozen=True)
@@ -80,15 +125,16 @@ class Roots:
     slope: Tensor
 
 
-def bracket_rises(lines: AxialLines, tau: float, coarse: Tensor, radius: float, candidates: int) -> Brackets:
-    """Sample candidate depths around the coarse surface and bracket the rise through tau nearest to it.
+def bracket_rises(lines: AxialLines, tau: Tensor, coarse: Tensor, radius: float, candidates: int) -> Brackets:
+    """Sample candidate depths around the coarse surface and bracket the rise through tau.
 
-    Where no neighbouring candidates lie on either side of tau, the bracket is the whole neighbourhood and the start
-    the middle of the steepest rise (eq. 8).
+    Of several rises the one that best parts what is below tau from what is above it is taken, by the least sum of
+    f - tau down to it. Where no neighbouring candidates lie on either side of tau, the bracket is the whole
+    neighbourhood and the start the middle of the steepest rise (eq. 8).
 
     Args:
         lines: the lines that are searched.
-        tau: intensity of the surface.
+        tau: intensity of the surface on each line [N].
         coarse: coarse depth of each line [N], in axial voxels.
         radius: half width of the neighbourhood in axial voxels.
         candidates: N_warmup, number of depths that are sampled, at least 2.
@@ -96,27 +142,28 @@ def bracket_rises(lines: AxialLines, tau: float, coarse: Tensor, radius: float, 
     every = torch.arange(len(coarse), device=coarse.device)
     offsets = torch.linspace(-radius, radius, candidates, device=coarse.device)
     depth = (coarse[:, None] + offsets).clamp(0.0, lines.last)
-    excess = torch.stack([lines.value(depth[:, k], every) - tau for k in range(candidates)], dim=1)
+    excess = lines.values(depth, every) - tau[:, None]
     below, above = excess[:, :-1], excess[:, 1:]
     rises = (below < 0) & (above >= 0)
-    crossing = depth[:, :-1] + (depth[:, 1:] - depth[:, :-1]) * (below / (below - above)).nan_to_num(0.5)
-    distance = torch.where(rises, (crossing - coarse[:, None]).abs(), torch.inf)
     found = rises.any(dim=1)
-    chosen = torch.where(found, distance.argmin(dim=1), (above - below).nan_to_num(0.0).argmax(dim=1))[:, None]
+    parting = torch.where(rises, below.cumsum(dim=1), torch.inf)
+    chosen = torch.where(found, parting.argmin(dim=1), (above - below).argmax(dim=1))[:, None]
     low, high = depth[:, :-1].gather(1, chosen)[:, 0], depth[:, 1:].gather(1, chosen)[:, 0]
-    start = torch.where(found, crossing.gather(1, chosen)[:, 0], 0.5 * (low + high))
+    before, after = below.gather(1, chosen)[:, 0], above.gather(1, chosen)[:, 0]
+    share = torch.where(found, before / (before - after), torch.full_like(before, 0.5))
+    start = low + (high - low) * share
     return Brackets(torch.where(found, low, depth[:, 0]), torch.where(found, high, depth[:, -1]), start, found)
 
 
 def refine_roots(
     lines: AxialLines,
-    tau: float,
+    tau: Tensor,
     brackets: Brackets,
     *,
     steps: int,
     min_slope: float,
     max_step: float,
-    tolerance: float,
+    tolerance: Tensor,
 ) -> Roots:
     """Refine by Newton's method (eq. 10) with exact gradients, inside each line's bracket.
 
@@ -126,12 +173,12 @@ def refine_roots(
 
     Args:
         lines: the lines that are refined.
-        tau: intensity of the surface.
+        tau: intensity of the surface on each line [N].
         brackets: where to look.
         steps: largest number of Newton steps.
         min_slope: smallest usable derivative of the intensity per axial voxel.
         max_step: longest step in axial voxels.
-        tolerance: residual at which a line is done.
+        tolerance: residual [N] at which a line is done.
     """
     low, high, depth = brackets.low.clone(), brackets.high.clone(), brackets.start.clone()
     best_depth, best_residual = depth.clone(), torch.full_like(depth, torch.inf)
@@ -146,8 +193,8 @@ def refine_roots(
             value, slope = lines.value_and_slope(here, active)
             slopes[active] = slope
         else:
-            value, slope = lines.value(here, active), torch.zeros_like(here)
-        residual = value - tau
+            value, slope = lines.values(here[:, None], active)[:, 0], torch.zeros_like(here)
+        residual = value - tau[active]
         better = residual.abs() < best_residual[active].abs()
         best_residual[active] = torch.where(better, residual, best_residual[active])
         best_depth[active] = torch.where(better, here, best_depth[active])
@@ -162,5 +209,5 @@ def refine_roots(
         depth[active] = following
         # Without a bracket, a line that may not move has nowhere else to look.
         moves = found | (newton & (following != here))
-        active = active[(residual.abs() > tolerance) & moves]
+        active = active[(residual.abs() > tolerance[active]) & moves]
     return Roots(best_depth, best_residual, slopes)

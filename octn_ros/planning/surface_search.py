@@ -1,8 +1,7 @@
-"""Depth of the surface under each raster point: coarse search, then refinement on the level set tau."""
+"""Depth of the surface under each raster point: coarse search, refinement on the level set tau, and what to trust."""
 
 from __future__ import annotations
 
-import enum
 import math
 import time
 from dataclasses import dataclass
@@ -11,50 +10,83 @@ from dataclasses import field as dataclass_field
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage
+from torch import Tensor
 
-from octn_ros.errors import PlanError, QueryError
+from octn_ros.errors import PlanError
 from octn_ros.field import Field
-from octn_ros.planning.axial_root import AxialLines, bracket_rises, refine_roots
-from octn_ros.query import SurfaceMap, SurfaceMapConfig, surface_map
+from octn_ros.planning.axial_root import AxialLines, aperture_disc, bracket_rises, refine_roots
+from octn_ros.planning.coarse_surface import CoarseSurface, CoarseSurfaceConfig, coarse_surface
+from octn_ros.planning.give_up import GiveUp
+from octn_ros.planning.neighbours import deviation_from_neighbours
+from octn_ros.planning.raster import RasterPattern
+from octn_ros.planning.refinement import SmoothObjective, gradient_descent, least_squares, turn_mask
 from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry
 
-# The coarse lattice reaches beyond the raster by this, so that its border has neighbours too.
-_MARGIN_VOXELS, _MARGIN_SHARE = 4, 0.07
 _INSIDE_M = 1e-9
+# Scatter of the neighbours, in axial voxels, below which none of them is doubted.
+_FLOOR_VOXELS = 0.2
+# Movement in axial voxels at which the least squares are done: a hundredth of a micrometre or so.
+_STILL_VOXELS = 1e-3
 
 
-class GiveUp(enum.IntEnum):
-    """Why a waypoint was given up."""
+@dataclass(frozen=True)
+class TrustConfig:
+    """What a waypoint needs to be published."""
 
-    KEPT = 0
-    NO_CROSSING = 1
-    FLAT = 2
-    NOT_CONVERGED = 3
+    min_step: float = setting(
+        0.35,
+        "step from air to tissue, as a share of the usual one, below which a waypoint is given up",
+        low=0.0,
+        high=1.0,
+    )
+    min_clearness: float = setting(0.2, "how much weaker another step above it must be, as a share", low=0.0, high=1.0)
+    max_glare: float = setting(
+        0.3, "brightness of the air above it over the usual, as a share of the usual step", low=0.0, high=10.0
+    )
+    neighbours: int = setting(24, "waypoints around it whose plane it is held against", low=4, high=200)
+    outlier_voxels: float = setting(
+        2.0, "largest distance along the beam from that plane, less what the scan's scatter explains", unit="voxels",
+        low=0.1, high=1000.0,
+    )  # fmt: skip
+    max_scatter_voxels: float = setting(
+        1.0, "largest scatter of the neighbours about their plane (standard deviation)", unit="voxels", low=0.01,
+        high=1000.0,
+    )  # fmt: skip
+    coarse_voxels: float = setting(
+        3.0, "largest distance from the coarse surface, less the usual one", unit="voxels", low=0.1, high=1000.0
+    )
 
-    @property
-    def text(self) -> str:
-        """The reason in words."""
-        return _REASONS[self]
-
-
-_REASONS = {
-    GiveUp.KEPT: "kept",
-    GiveUp.NO_CROSSING: "the intensity does not rise through tau near the coarse surface",
-    GiveUp.FLAT: "the intensity does not rise through tau near the coarse surface, where its gradient is too small",
-    GiveUp.NOT_CONVERGED: "the refinement did not come close enough to tau",
-}
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True)
 class SurfaceSearchConfig:
     """How the surface under a raster is found; lengths along the beam in axial voxels."""
 
-    coarse: SurfaceMapConfig = dataclass_field(default_factory=lambda: SurfaceMapConfig(max_ascans=1024))
-    warmup_candidates: int = setting(17, "candidate depths around the coarse surface, N_warmup", low=2, high=1024)
+    coarse: CoarseSurfaceConfig = dataclass_field(default_factory=CoarseSurfaceConfig)
+    trust: TrustConfig = dataclass_field(default_factory=TrustConfig)
+    refinement: str = setting(
+        "newton",
+        "newton: onto the level set; least_squares: smoothly along it (eq. 14); sgd: the same by gradient descent",
+        choices=("newton", "least_squares", "sgd"),
+    )
+    tau_mode: str = setting(
+        "global", "one tau for the raster, or local: half-way from air to tissue around each waypoint",
+        choices=("global", "local"),
+    )  # fmt: skip
+    aperture_m: float = setting(
+        0.0, "radius of the disc over which the field is averaged around each waypoint, 0 for the field itself",
+        unit="m", low=0.0, high=1e-3,
+    )  # fmt: skip
+    offset_correction_m: float = setting(
+        0.0, "added to every depth: minus the offset of the level set from the true surface, once calibrated",
+        unit="m", low=-1e-3, high=1e-3,
+    )  # fmt: skip
+    warmup_candidates: int = setting(7, "candidate depths around the coarse surface, N_warmup", low=2, high=1024)
     neighbourhood_voxels: float = setting(
-        8.0, "how far from the coarse surface a waypoint may lie", unit="voxels", low=0.5, high=1000.0
+        6.0, "how far from the coarse surface a waypoint may lie, N_voxels", unit="voxels", low=0.5, high=1000.0
     )
     newton_steps: int = setting(8, "largest number of Newton steps before bisection", low=1, high=1000)
     min_gradient: float = setting(
@@ -62,7 +94,19 @@ class SurfaceSearchConfig:
     )
     max_step_voxels: float = setting(2.0, "longest Newton step", unit="voxels", low=1e-3, high=1000.0)
     convergence: float = setting(0.01, "|f - tau| / tau at which a waypoint is done", low=1e-6, high=0.5)
-    tolerance: float = setting(0.05, "|f - tau| / tau above which a waypoint is given up", low=1e-6, high=0.5)
+    tolerance: float = setting(0.05, "|f - tau| / tau above which a root is given up", low=1e-6, high=0.5)
+    smoothness: float = setting(
+        0.3, "lambda of eq. 14, for depths in axial voxels", unit="1/voxel^2", low=0.0, high=1e6
+    )
+    smoothing_steps: int = setting(20, "largest number of least-squares steps", low=1, high=1000)
+    descent_steps: int = setting(1000, "number of gradient descent steps", low=1, high=1_000_000)
+    descent_rate: float = setting(
+        0.05, "gradient descent: step per unit of gradient, depths in voxels", low=1e-9, high=1e3
+    )
+    break_voxels: float = setting(
+        3.0, "second difference of depth from which on the surface is taken to break, as at a step", unit="voxels",
+        low=0.1, high=1000.0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -73,15 +117,18 @@ class SurfaceSearch:
     """The surface under N raster points; read-only.
 
     Attributes:
-        depth_m: axial depth z in the OCT frame [N], NaN where given up.
-        intensity: field intensity there [N], NaN where given up.
+        depth_m: axial depth z in the OCT frame [N], offset correction included, NaN where given up.
+        intensity: field intensity on the level set there, before the offset correction [N], NaN where given up.
         residual: intensity less tau [N], NaN where given up.
-        confidence: how clearly the coarse surface stands out of its A-scans [N], 0 to 1; see SurfaceMap.
+        confidence: 0 to 1 [N]: height of the step as a share of the usual one, times how clearly it stands out, over
+            1 + (scatter of the neighbours in axial voxels)^2.
         given_up: points without a trustworthy depth [N].
         reason: GiveUp of each point [N], int8.
+        tau: intensity of the surface at each point [N].
         coarse_depth_m: depth of the coarse surface [N].
+        offset_correction_m: what was added to every depth.
         method: what was done, in words.
-        seconds: time of the stages "coarse" and "refine".
+        seconds: time of the stages: "coarse", "refine" and, if made, "check".
     """
 
     depth_m: NDArray[np.float64]
@@ -90,24 +137,28 @@ class SurfaceSearch:
     confidence: NDArray[np.float64]
     given_up: NDArray[np.bool_]
     reason: NDArray[np.int8]
+    tau: NDArray[np.float64]
     coarse_depth_m: NDArray[np.float64]
+    offset_correction_m: float
     method: str
     seconds: dict[str, float]
 
 
 def find_surface(
-    field: Field, points_m: NDArray[np.floating], tau: float, config: SurfaceSearchConfig | None = None
+    field: Field, pattern: RasterPattern, tau: float | None = None, config: SurfaceSearchConfig | None = None
 ) -> SurfaceSearch:
-    """Find where the intensity rises through tau under each raster point (eqs. 7 to 11).
+    """Find where the intensity rises through tau under each raster point (eqs. 7 to 14).
 
-    The coarse search (eq. 8) runs on a lattice of A-scans over the raster, whose neighbours outvote speckle; each
-    point then samples N_warmup depths around it, brackets the rise nearest to it and refines that by Newton's method
-    with exact gradients. Not differentiable; thread-safe; any device.
+    A coarse search over a lattice of A-scans (eq. 8), whose neighbours outvote speckle and artefacts; N_warmup depths
+    around it at each point, which bracket the rise; Newton's method with exact gradients inside the bracket and
+    bisection where it fails; then, if configured, the smooth path of eq. 14. What cannot be trusted is given up with
+    its reason. Not differentiable; thread-safe; any device.
 
     Args:
         field: the field, neural or interpolated.
-        points_m: raster points (x, y) [N, 2] in the OCT frame, in metres.
-        tau: intensity of the surface, greater than 0.
+        pattern: raster points (x, y) in the OCT frame and their lines; points that are no raster have segment 0.
+        tau: intensity of the surface, greater than 0; if left out, the median over the coarse surface (the paper's).
+            Not used where `tau_mode` is local.
         config: how; the defaults if left out.
 
     Raises:
@@ -116,48 +167,90 @@ def find_surface(
     """
     config = config or SurfaceSearchConfig()
     geometry = field.geometry
-    points = np.asarray(points_m, dtype=np.float64)
+    points = np.asarray(pattern.points_m, dtype=np.float64)
     check_inside(geometry, points)
-    if not (math.isfinite(tau) and tau > 0):
+    if tau is not None and not (math.isfinite(tau) and tau > 0):
         raise PlanError(f"expected a positive surface intensity tau, got {tau}")
     began = time.perf_counter()
-    surface = _coarse_surface(field, points, config.coarse)
-    coarse_m = surface.sample(ndimage.median_filter(surface.depth_m, size=3, mode="nearest"), points)
+    surface = coarse_surface(field, points, config.coarse)
+    coarse = surface.depth_at(points, config.break_voxels)
+    levels = _levels(field, surface, points, tau, config)
     coarse_done = time.perf_counter()
 
-    index = geometry.metric_to_voxel(np.column_stack([points, coarse_m]))
-    canonical = torch.from_numpy(geometry.voxel_to_canonical(index).astype(np.float32)).to(field.device)
-    lines = AxialLines(field, canonical[:, 0].clamp(-1, 1), canonical[:, 2].clamp(-1, 1))
-    coarse = torch.from_numpy(index[:, 1].astype(np.float32)).to(field.device)
-    brackets = bracket_rises(lines, tau, coarse, config.neighbourhood_voxels, config.warmup_candidates)
+    lines = axial_lines(field, points, surface if config.aperture_m > 0 else None, config.aperture_m)
+    start, target = (torch.from_numpy(a.astype(np.float32)).to(field.device) for a in (coarse, levels))
+    brackets = bracket_rises(lines, target, start, config.neighbourhood_voxels, config.warmup_candidates)
     roots = refine_roots(
         lines,
-        tau,
+        target,
         brackets,
         steps=config.newton_steps,
         min_slope=config.min_gradient,
         max_step=config.max_step_voxels,
-        tolerance=config.convergence * tau,
+        tolerance=config.convergence * target,
     )
-    missed = ~(roots.residual.abs() <= config.tolerance * tau)
+    missed = ~(roots.residual.abs() <= config.tolerance * target)
     flat = roots.slope < config.min_gradient
-    reason = torch.where(brackets.found, GiveUp.NOT_CONVERGED, torch.where(flat, GiveUp.FLAT, GiveUp.NO_CROSSING))
+    why = torch.where(brackets.found, GiveUp.NOT_CONVERGED, torch.where(flat, GiveUp.FLAT, GiveUp.NO_CROSSING))
     # Without a sign change, a point that is close to tau counts only if it lies on a rise.
-    lost = missed | (~brackets.found & flat)
-    given_up = lost.cpu().numpy()
-    residual = np.where(given_up, np.nan, roots.residual.cpu().numpy().astype(np.float64))
-    depth_m = geometry.origin_m[2] + roots.depth.cpu().numpy().astype(np.float64) * geometry.spacing_m[1]
+    reason = torch.where(missed | (~brackets.found & flat), why, GiveUp.KEPT).cpu().numpy().astype(np.int8)
+    root_done = time.perf_counter()
+
+    root = roots.depth.cpu().numpy().astype(np.float64)
+    confidence = _judge(geometry, surface, points, root, coarse, reason, config.trust)
+    checked = time.perf_counter()
+    residual = roots.residual.cpu().numpy().astype(np.float64)
+    depth = root
+    if config.refinement != "newton":
+        depth, residual = _smooth(lines, target, start, root, reason, pattern, config)
+    ended = time.perf_counter()
+    given_up = reason != GiveUp.KEPT
+    residual = np.where(given_up, np.nan, residual)
+    depth_m = geometry.origin_m[2] + depth * geometry.spacing_m[1] + config.offset_correction_m
     return SurfaceSearch(
         depth_m=np.where(given_up, np.nan, depth_m),
-        intensity=residual + tau,
+        intensity=residual + levels,
         residual=residual,
-        confidence=surface.sample(surface.confidence, points),
+        confidence=confidence,
         given_up=given_up,
-        reason=torch.where(lost, reason, GiveUp.KEPT).cpu().numpy().astype(np.int8),
-        coarse_depth_m=coarse_m,
-        method="bracketed Newton with exact gradients and bisection, from a coarse search by the "
-        f"{config.coarse.method} in {surface.depth_m.size} A-scans and the median of 3^2 of them",
-        seconds={"coarse": coarse_done - began, "refine": time.perf_counter() - coarse_done},
+        reason=reason,
+        tau=levels,
+        coarse_depth_m=geometry.origin_m[2] + coarse * geometry.spacing_m[1],
+        offset_correction_m=config.offset_correction_m,
+        method=_method(config, surface),
+        seconds={
+            "coarse": coarse_done - began,
+            "refine": root_done - coarse_done + ended - checked,
+            "check": checked - root_done,
+        },
+    )
+
+
+def axial_lines(
+    field: Field, points_m: NDArray[np.float64], surface: CoarseSurface | None = None, aperture_m: float = 0.0
+) -> AxialLines:
+    """Return the lines along the beam through lateral points (x, y) [N, 2], with an aperture that leans as `surface`.
+
+    Args:
+        field: the field.
+        points_m: where, in the OCT frame.
+        surface: the coarse surface; not needed without an aperture.
+        aperture_m: radius of the aperture, 0 for none.
+    """
+    geometry = field.geometry
+    canonical = geometry.metric_to_canonical(np.column_stack([points_m, np.full(len(points_m), geometry.origin_m[2])]))
+    lateral, bscan = (torch.from_numpy(canonical[:, k].astype(np.float32)).to(field.device) for k in (0, 2))
+    if surface is None or aperture_m == 0.0:
+        return AxialLines(field, lateral.clamp(-1, 1), bscan.clamp(-1, 1))
+    per_canonical = np.array([geometry.metres_per_canonical[0], geometry.metres_per_canonical[2]])
+    disc = np.array(aperture_disc(aperture_m)) / per_canonical
+    lean = surface.slope_at(points_m) * per_canonical
+    return AxialLines(
+        field,
+        lateral.clamp(-1, 1),
+        bscan.clamp(-1, 1),
+        torch.from_numpy(disc.astype(np.float32)).to(field.device),
+        torch.from_numpy(lean.astype(np.float32)).to(field.device),
     )
 
 
@@ -182,12 +275,105 @@ def check_inside(geometry: VolumeGeometry, points_m: NDArray[np.float64], what: 
         )
 
 
-def _coarse_surface(field: Field, points_m: NDArray[np.float64], config: SurfaceMapConfig) -> SurfaceMap:
-    spacing = np.array([field.geometry.spacing_m[2], field.geometry.spacing_m[0]])
-    low, high = points_m.min(axis=0), points_m.max(axis=0)
-    margin = np.maximum(_MARGIN_VOXELS * spacing, _MARGIN_SHARE * (high - low))
-    low, high = low - margin, high + margin
-    try:
-        return surface_map(field, config, lateral_range_m=(low[0], high[0]), bscan_range_m=(low[1], high[1]))
-    except QueryError as error:
-        raise PlanError(f"no surface to plan on: {error}") from error
+def _levels(
+    field: Field, surface: CoarseSurface, points: NDArray[np.float64], tau: float | None, config: SurfaceSearchConfig
+) -> NDArray[np.float64]:
+    if config.tau_mode == "local":
+        return 0.5 * (surface.sample(surface.air, points) + surface.sample(surface.tissue, points))
+    return np.full(len(points), surface_tau(field, surface) if tau is None else tau)
+
+
+def surface_tau(field: Field, surface: CoarseSurface) -> float:
+    """Return tau as the paper estimates it (eq. 7): the median intensity of the surface points, the coarse ones here."""
+    geometry = field.geometry
+    rows, columns = surface.depth.shape
+    x, y = np.tile(surface.lateral_m, rows), np.repeat(surface.bscan_m, columns)
+    z = geometry.origin_m[2] + surface.depth.ravel() * geometry.spacing_m[1]
+    points = geometry.metric_to_canonical(np.column_stack([x, y, z])).astype(np.float32)
+    with torch.no_grad():
+        return float(field.evaluate(torch.from_numpy(points).to(field.device)).median())
+
+
+def _judge(
+    geometry: VolumeGeometry,
+    surface: CoarseSurface,
+    points: NDArray[np.float64],
+    root: NDArray[np.float64],
+    coarse: NDArray[np.float64],
+    reason: NDArray[np.int8],
+    trust: TrustConfig,
+) -> NDArray[np.float64]:
+    """Write reasons to give roots up into `reason`, in place, and return the confidence [N]."""
+    usual = surface.typical_step
+    step = surface.sample(surface.step, points) / usual
+    clearness = surface.sample(surface.clearness, points)
+    glare = (surface.sample(surface.air, points) - np.median(surface.air)) / usual
+    voxel = geometry.spacing_m[1]
+    for wrong, why in (
+        (step < trust.min_step, GiveUp.WEAK),
+        (clearness < trust.min_clearness, GiveUp.AMBIGUOUS),
+        (glare > trust.max_glare, GiveUp.GLARE),
+    ):
+        reason[(reason == GiveUp.KEPT) & wrong] = why
+    kept = reason == GiveUp.KEPT
+    if kept.any():
+        away = root - coarse
+        far = np.abs(away - np.median(away[kept])) > trust.coarse_voxels
+        reason[kept & far] = GiveUp.OUTLIER
+    deviation, scatter = deviation_from_neighbours(
+        points,
+        np.where(reason == GiveUp.KEPT, root * voxel, np.nan),
+        trust.neighbours,
+        _FLOOR_VOXELS * voxel,
+        trust.outlier_voxels * voxel,
+    )
+    deviation, scatter = deviation / voxel, scatter / voxel
+    reason[(reason == GiveUp.KEPT) & ~(np.abs(deviation) <= trust.outlier_voxels)] = GiveUp.OUTLIER
+    reason[(reason == GiveUp.KEPT) & ~(scatter <= trust.max_scatter_voxels)] = GiveUp.UNSTEADY
+    confidence = np.clip(step, 0.0, 1.0) * np.clip(clearness, 0.0, 1.0) / (1.0 + scatter**2)
+    return confidence
+
+
+def _smooth(
+    lines: AxialLines,
+    target: Tensor,
+    start: Tensor,
+    root: NDArray[np.float64],
+    reason: NDArray[np.int8],
+    pattern: RasterPattern,
+    config: SurfaceSearchConfig,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the depths [N] that minimise eq. 14 and their residuals [N]; given-up points follow their neighbours."""
+    kept = reason == GiveUp.KEPT
+    first = np.where(kept, root, start.cpu().numpy())
+    objective = SmoothObjective(
+        lines,
+        target,
+        torch.from_numpy(kept.astype(np.float32)).to(target.device),
+        turn_mask(pattern.segment, first, config.break_voxels),
+        config.smoothness,
+    )
+    if config.refinement == "sgd":
+        depth = gradient_descent(
+            objective, start, config.neighbourhood_voxels, config.descent_steps, config.descent_rate
+        )
+    else:
+        from_roots = torch.from_numpy(first.astype(np.float32)).to(target.device)
+        depth = least_squares(
+            objective, from_roots, start, config.neighbourhood_voxels, config.smoothing_steps, _STILL_VOXELS
+        )
+    residual, _ = objective.residual_and_slope(depth)
+    return depth.cpu().numpy().astype(np.float64), residual.cpu().numpy().astype(np.float64)
+
+
+def _method(config: SurfaceSearchConfig, surface: CoarseSurface) -> str:
+    refinement = {
+        "newton": "bracketed Newton with exact gradients and bisection",
+        "least_squares": f"sparse least squares of eq. 14, lambda {config.smoothness:g} per voxel^2, from Newton's roots",
+        "sgd": f"{config.descent_steps} steps of gradient descent on eq. 14, lambda {config.smoothness:g} per voxel^2",
+    }[config.refinement]
+    aperture = f", the field averaged within {config.aperture_m * 1e6:.0f} um" if config.aperture_m > 0 else ""
+    local = ", tau half-way between air and tissue around each waypoint" if config.tau_mode == "local" else ""
+    correction = config.offset_correction_m * 1e6
+    offset = f", depth corrected by {correction:+.1f} um" if correction else ""
+    return f"{refinement}{aperture}{local}{offset}; {config.coarse.method} in {surface.depth.size} A-scans"
