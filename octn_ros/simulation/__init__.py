@@ -7,6 +7,7 @@ from octn_ros.simulation.laser_path import LaserPath
 from octn_ros.simulation.named import ADVERSE, NAMED_PHANTOMS, SMOOTH, named_phantom
 from octn_ros.simulation.phantom import Phantom, make_phantom
 from octn_ros.simulation.phantom_config import PhantomConfig
+from octn_ros.simulation.region_snr import RegionSnr, region_snr
 from octn_ros.simulation.scanner import BScan, Scanner
 from octn_ros.simulation.surface import TissueSurface
 
@@ -24,8 +25,10 @@ __all__ = [
     "LaserPath",
     "Phantom",
     "PhantomConfig",
+    "RegionSnr",
     "Scanner",
     "TissueSurface",
     "make_phantom",
     "named_phantom",
+    "region_snr",
 ]

@@ -18,7 +18,7 @@ LOBE_DB = -25.0  # side lobes of the source's spectrum at the surface, against t
 LOBE_DECAY_M = 120e-6
 LOBE_PERIOD_M = 45e-6
 STREAK_OVER_AIR_DB = 18.0  # a saturated spectrum spreads over every depth: a bright column from top to bottom
-MASKED_POWER = 0.25  # of the air's: where lobes or streak lift the noise by 1 dB, the surface is no longer told
+MASKED_POWER = 4.0  # where the reflection still outshines air by 6 dB, the surface looks brighter than it is
 _CANDIDATES = 400
 
 
@@ -52,10 +52,8 @@ class Glare:
         return cls(spread_places(places[order], count, SPOT_APART_M), peak)
 
     def mask(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.bool_]:
-        """Return where side lobes or the streak drown the surface."""
-        lobe = self.peak_power * 10.0 ** (LOBE_DB / 10.0)
-        streak = 10.0 ** (STREAK_OVER_AIR_DB / 10.0)
-        return np.asarray(self._weight(x_m, y_m) * max(lobe, streak) > MASKED_POWER)
+        """Return where a streak drowns the surface, or the reflection outshines it."""
+        return np.asarray(self._weight(x_m, y_m) * self.peak_power > MASKED_POWER)
 
     def apply(self, light: Light) -> None:
         """Add the spots to the light that comes back."""

@@ -48,7 +48,8 @@ SMOOTH = MappingProxyType(
         "wavy": {},
         "rough": {"surface": "rough"},
         "steep30": {"surface": "steep", "steepest_deg": 30.0},
-        "steep45": {"surface": "steep", "steepest_deg": 45.0},
+        # More range than the default, so that the inclusion stays below the deepest fold.
+        "steep45": {"surface": "steep", "steepest_deg": 45.0, "shape": (128, 192, 256)},
     }
 )
 """Settings of the tissues on which every waypoint should be found, by name."""

@@ -84,11 +84,21 @@ class Speckle:
         Returns:
             Displayed intensity in [0, 1], [N], clipping at both ends included.
         """
+        display, weights = self._displays(level_db, dynamic_range_db)
+        return np.asarray(display @ weights)
+
+    def display_variance(self, level_db: NDArray[np.floating], dynamic_range_db: float) -> NDArray[np.float64]:
+        """Return the variance over the speckle of what `expected_display` is the mean of; same arguments."""
+        display, weights = self._displays(level_db, dynamic_range_db)
+        return np.asarray(display**2 @ weights - (display @ weights) ** 2)
+
+    def _displays(
+        self, level_db: NDArray[np.floating], dynamic_range_db: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         deviates, gain = _DEVIATES[::4], _gain_db(self.looks)[::4]
         weights = np.exp(-0.5 * deviates**2)
         weights /= weights.sum()
-        display = np.clip((np.asarray(level_db)[:, None] + gain) / dynamic_range_db, 0.0, 1.0)
-        return np.asarray(display @ weights)
+        return np.clip((np.asarray(level_db)[:, None] + gain) / dynamic_range_db, 0.0, 1.0), weights
 
 
 @lru_cache(maxsize=8)

@@ -6,22 +6,17 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from octn_ros.errors import ConfigurationError
 from octn_ros.simulation.artefacts import place_artefacts
 from octn_ros.simulation.crater import AblatedSurface
 from octn_ros.simulation.interface import Interface
+from octn_ros.simulation.layers import axial_sigma_m, layered_power, tissue_over_air
 from octn_ros.simulation.motion import Motion, ScannedSurface
 from octn_ros.simulation.optics import Light
 from octn_ros.simulation.phantom_config import PhantomConfig
 from octn_ros.volume.geometry import VolumeGeometry
 
-# Layers that follow the surface: depth below it in metres, backscatter against the top layer in dB. The ramps between
-# them are gentle, so that the largest axial gradient stays at the surface.
-_LAYER_DEPTH_M = (200e-6, 260e-6, 480e-6, 540e-6, 950e-6, 1050e-6)
-_LAYER_GAIN_DB = (0.0, -3.0, -3.0, 1.0, 1.0, -1.0)
-_TOP_LAYER_FADE_M = 40e-6  # below a bright top layer
 # The inclusion: its centre and radii as shares of the volume along (lateral, bscan) and of the depth below the surface.
 _INCLUSION_CENTRE = (0.70, 0.36, 0.30)
 _INCLUSION_RADII = (0.10, 0.16, 0.13)
@@ -95,24 +90,12 @@ class Tissue:
         if isinstance(self.surface_at_rest, AblatedSurface):
             below = own - self.surface_at_rest.removed_at(x, y)[:, None, :].astype(np.float32)
 
-        # exp(-2 mu d) behind a sharp edge, convolved with a Gaussian of sigma, in closed form.
-        sigma = config.resolution_m / math.sqrt(8.0 * math.log(2.0))
-        loss = 2.0 * config.attenuation_per_m
-        ratio = 10.0 ** (config.snr_db / 10.0) - 1.0
-        power = ndtr(below * np.float32(1.0 / sigma) - np.float32(loss * sigma))
-        # Far above the surface the first factor is zero, and the second must not be infinite.
-        depth = np.maximum(below, np.float32(-10.0 * sigma))
-        power *= np.exp(np.float32(0.5 * (loss * sigma) ** 2) - np.float32(loss) * depth)
-        power *= np.float32(ratio)
-        power *= 10.0 ** (np.interp(own, _LAYER_DEPTH_M, _LAYER_GAIN_DB).astype(np.float32) / np.float32(10.0))
-        if config.top_layer_db > 0.0:
-            ends = (config.top_layer_m, config.top_layer_m + _TOP_LAYER_FADE_M)
-            power *= 10.0 ** (np.interp(own, ends, (config.top_layer_db, 0.0)).astype(np.float32) / np.float32(10.0))
+        power = layered_power(config, below, own)
         own_x, own_y = self._to_tissue(x, np.broadcast_to(y, x.shape))
         if config.asymmetric:
             share = self._inclusion(own_x, own_y, z - config.shift_m[2])
             power *= 1.0 + np.float32(10.0 ** (INCLUSION_GAIN_DB / 10.0) - 1.0) * share
-        light = Light(power, own, own_x, own_y, ratio, sigma)
+        light = Light(power, own, own_x, own_y, tissue_over_air(config), axial_sigma_m(config))
         for artefact in self._artefacts:
             artefact.apply(light)
         return np.float32(config.air_level_db) + np.float32(10.0) * np.log10(np.float32(1.0) + power)
