@@ -47,7 +47,7 @@ class Coverage:
     area_m2: float
 
 
-def coverage(
+def measure_coverage(
     region: Region, points_m: NDArray[np.floating], segment: NDArray[np.integer], line_spacing_m: float
 ) -> Coverage:
     """Measure the gaps of a path, in columns at the ends of all its lines and evenly between (4096 at most).
