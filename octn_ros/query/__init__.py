@@ -5,6 +5,7 @@ from octn_ros.query.enface_views import enface, layer_mean
 from octn_ros.query.lattice import Lattice
 from octn_ros.query.native_surface import native_surface
 from octn_ros.query.regions import Box, EnfacePolygon, Region, Sphere, polygon
+from octn_ros.query.rendering import RenderConfig, Rendering, render
 from octn_ros.query.slices import Plane, axial_slice, bscan_slice, lateral_slice, plane_slice
 from octn_ros.query.surface import SurfaceMap, SurfaceMapConfig, surface_intensity, surface_map
 
@@ -17,6 +18,8 @@ __all__ = [
     "Lattice",
     "Plane",
     "Region",
+    "RenderConfig",
+    "Rendering",
     "Sphere",
     "SurfaceMap",
     "SurfaceMapConfig",
@@ -29,6 +32,7 @@ __all__ = [
     "native_surface",
     "plane_slice",
     "polygon",
+    "render",
     "surface_intensity",
     "surface_map",
 ]
