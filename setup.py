@@ -17,6 +17,10 @@ EMBEDDED = [
     "rosbags>=0.11,<0.12",
     "xxhash>=3.0",
 ]
+VENDOR = [
+    # Files of Topcon, Heidelberg, Bioptigen, Optovue and Zeiss. It brings OpenCV along, so it is not for everyone.
+    "oct-converter>=0.7,<0.8",
+]
 TEST = [
     *EMBEDDED,
     "hypothesis>=6.100",
@@ -47,17 +51,21 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=[
+        "h5py>=3.10",  # MATLAB 7.3 and HDF5 files
         "matplotlib>=3.6",  # pictures of the report
         "nibabel>=5.0",  # NIfTI
         "numpy>=1.26",
+        "pillow>=10.0",  # folders of numbered images
+        "pydicom>=3.0",  # DICOM ophthalmic tomography
         "pyyaml>=6.0",  # calibration files
         "rich>=13.0",  # tables and progress bars
         "safetensors>=0.4",  # checkpoints that run nothing when loaded
         "scikit-image>=0.22",  # marching cubes, SSIM
         "scipy>=1.11",  # filters, KD-tree, rotations
+        "tifffile>=2023.7",  # TIFF stacks
         "torch>=2.4",  # Adam fused on the CPU
     ],
-    extras_require={"embedded": EMBEDDED, "test": TEST},
+    extras_require={"embedded": EMBEDDED, "test": TEST, "vendor": VENDOR},
     zip_safe=False,  # the embedded runtime is loaded from files of the package
     entry_points={
         "console_scripts": [

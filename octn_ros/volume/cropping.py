@@ -32,7 +32,7 @@ def crop(volume: Volume, bscan: Span | None = None, axial: Span | None = None, l
     spans = []
     for axis, count, span in zip(AXES, volume.geometry.shape, (bscan, axial, lateral), strict=True):
         start, stop = (0, count) if span is None else span
-        if not (0 <= start and start + 2 <= stop <= count):
+        if not (start >= 0 and start + 2 <= stop <= count):
             raise VolumeError(
                 f"expected at least two {axis} indices START <= i < STOP between 0 and {count}, got {start} to {stop}"
             )
@@ -40,7 +40,7 @@ def crop(volume: Volume, bscan: Span | None = None, axial: Span | None = None, l
     geometry = VolumeGeometry(
         shape=tuple(stop - start for start, stop in spans),  # type: ignore[arg-type]
         spacing_m=volume.geometry.spacing_m,
-        origin_m=tuple(volume.geometry.voxel_to_metric(np.array([start for start, _ in spans], float)).tolist()),  # type: ignore[arg-type]
+        origin_m=tuple(volume.geometry.voxel_to_metric(np.array([start for start, _ in spans], float)).tolist()),
         frame=volume.geometry.frame,
     )
     array = volume.array[tuple(slice(start, stop) for start, stop in spans)]

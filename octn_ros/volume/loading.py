@@ -102,14 +102,11 @@ def load_volume(
             raise VolumeError(f"expected three axes [bscan, axial, lateral], got {voxels.shape}")
         array = orient(voxels, order, scan_signs)
         type_range = raw.type_range or integer_range(array.dtype)
-        if normalisation is not None:
-            intensity_range = normalisation.intensity_range(array, type_range)
-        else:
-            intensity_range = raw.header.intensity_range or type_range
+        stated = raw.header.intensity_range or type_range
         return Volume.from_array(
             array,
             spacing_m,
-            intensity_range=intensity_range,
+            intensity_range=normalisation.intensity_range(array, type_range) if normalisation else stated,
             intensity_scale=intensity_scale or raw.header.intensity_scale,
             origin_m=raw.header.origin_m,
             stamp_ns=raw.header.stamp_ns,

@@ -146,7 +146,7 @@ def _scan_header(header: Any, comment: ScanHeader | None) -> ScanHeader:
     spacing = tuple(float(z) * metres for z in header.get_zooms()[:3]) if metres is not None else None
     if exact and spacing and all(abs(a - b) <= _SPACING_ROUNDING * abs(b) for a, b in zip(exact, spacing, strict=True)):
         spacing = exact
-    return dataclasses.replace(stated, spacing_m=spacing)
+    return dataclasses.replace(stated, spacing_m=spacing)  # type: ignore[arg-type]
 
 
 def _affine_mm(geometry: VolumeGeometry) -> NDArray[np.float64]:

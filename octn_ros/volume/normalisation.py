@@ -84,7 +84,7 @@ def _type_range(array: NDArray[Any]) -> tuple[float, float]:
     integers = integer_range(array.dtype)
     if integers is not None:
         return integers
-    if 0.0 <= array.min() and array.max() <= 1.0:
+    if array.min() >= 0.0 and array.max() <= 1.0:
         return 0.0, 1.0
     raise VolumeError(
         f"expected integers, or floats in [0, 1], for the normalisation by type; got {array.dtype} from "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Callable
@@ -116,7 +117,7 @@ class ReadRequest:
         variable: which array, where a file may hold several; None if there must be one only.
     """
 
-    limit: ReadLimit = ReadLimit()
+    limit: ReadLimit = dataclasses.field(default_factory=ReadLimit)
     variable: str | None = None
 
 
