@@ -3,39 +3,43 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 
-from octn_ros.errors import PlanError, QueryError
+from octn_ros.errors import PlanError
 from octn_ros.field import Field
 from octn_ros.metrics import hit_rate, smoothness_energy_mm2
 from octn_ros.planning.calibration import Calibration
-from octn_ros.planning.raster import RasterConfig, RasterPattern, rectangle_raster
-from octn_ros.planning.region import rectangle_corners
+from octn_ros.planning.coverage import Coverage, measure_coverage
+from octn_ros.planning.envelope import EnvelopeConfig, PathToCheck, check_envelope, refuse_if_too_few
+from octn_ros.planning.error_budget import ErrorBudget, ErrorBudgetConfig, error_budget
+from octn_ros.planning.first_pass import first_pass
+from octn_ros.planning.keep_out import KeepOut
+from octn_ros.planning.path import path_through
+from octn_ros.planning.raster import RasterConfig, RasterPattern, raster_pattern
+from octn_ros.planning.region import Region, rectangle_region
 from octn_ros.planning.surface_search import GiveUp, SurfaceSearch, SurfaceSearchConfig, check_inside, find_surface
-from octn_ros.planning.transforms import quaternions_xyzw
-from octn_ros.planning.waypoints import WaypointConfig, inward_normals, waypoint_poses
-from octn_ros.query import surface_intensity, surface_map
+from octn_ros.planning.waypoints import WaypointConfig, Waypoints, place_waypoints
 from octn_ros.settings import as_plain, check_settings, setting
-
-_BEAM = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """Everything that decides a plan besides the field, the calibration and the rectangle."""
+    """Everything that decides a plan besides the field, the calibration, the region and what to keep out of."""
 
     raster: RasterConfig = dataclass_field(default_factory=RasterConfig)
     search: SurfaceSearchConfig = dataclass_field(default_factory=SurfaceSearchConfig)
     waypoints: WaypointConfig = dataclass_field(default_factory=WaypointConfig)
+    envelope: EnvelopeConfig = dataclass_field(default_factory=EnvelopeConfig)
+    budget: ErrorBudgetConfig = dataclass_field(default_factory=ErrorBudgetConfig)
     speed_m_s: float = setting(5e-3, "speed of the laser focus along a raster line", unit="m/s", low=1e-6, high=1.0)
     tau: float = setting(0.0, "intensity of the surface, 0 to estimate it from the field", low=0.0, high=1.0)
-    max_given_up: float = setting(0.2, "share of given-up waypoints above which the plan is refused", low=0.0, high=1.0)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -56,21 +60,26 @@ class Plan:
     Attributes:
         waypoints_oct: poses of the laser focus in the OCT frame [N, 4, 4].
         waypoints_ee: the same in the end-effector frame at the time of the scan [N, 4, 4].
-        surface_m: surface points under the waypoints (x, y, z) [N, 3] in the OCT frame, without standoff.
+        surface_m: surface points under the waypoints (x, y, z) [N, 3] in the OCT frame, without standoff or depth
+            offset; of a lead, the point of its neighbour on the line, moved along.
         segment: number of the straight, gapless stretch each waypoint belongs to [N]; a turn ends one, and so does a
             given-up waypoint.
-        laser_on: whether the laser fires at the waypoint [N].
+        laser_on: whether the laser fires at the waypoint [N]; not at lead-ins and lead-outs.
         speed_m_s: speed of the focus at the waypoint [N].
-        residual: field intensity less tau at the surface point [N].
-        confidence: how clearly the surface stands out there [N], 0 to 1.
+        residual: field intensity less tau at the surface point [N], NaN at leads.
+        confidence: how clearly the surface stands out there [N], 0 to 1, NaN at leads.
+        tilt_limited: whether the surface is tilted further than the waypoint is allowed to be [N].
         requested: number of waypoints of the raster.
         given_up: number of them that are not in the path.
         given_up_points: where and why.
-        tau: intensity of the surface.
+        coverage: gaps of what is kept of the raster over its region.
+        error_budget: how far the laser may miss, by parts.
+        tau: intensity of the surface, the median where it is local.
         hit_rate: share of the requested waypoints within the tolerance of tau; given-up ones are misses.
         smoothness_mm2: sum of squared second differences of depth (eq. 13).
         method: how the surface was found, in words.
-        seconds: time of the stages "tau", "coarse", "refine", "poses" and "total".
+        seconds: time of the stages: "pattern" (first pass and raster), those of the search, "poses", "checks"
+            (envelope, coverage, error budget) and "total".
         field_kind: what the field was made of.
         field_hash: content hash of the field, empty if not told.
         stamp_ns: acquisition time of the scan.
@@ -87,9 +96,12 @@ class Plan:
     speed_m_s: NDArray[np.float64]
     residual: NDArray[np.float64]
     confidence: NDArray[np.float64]
+    tilt_limited: NDArray[np.bool_]
     requested: int
     given_up: int
     given_up_points: tuple[GivenUpPoint, ...]
+    coverage: Coverage
+    error_budget: ErrorBudget
     tau: float
     hit_rate: float
     smoothness_mm2: float
@@ -113,10 +125,10 @@ def plan_raster(
     *,
     tau: float | None = None,
     field_hash: str = "",
+    keep_out: Sequence[KeepOut] = (),
+    scan_ee2base: NDArray[np.float64] | None = None,
 ) -> Plan:
-    """Plan a zigzag raster over a rectangle of the surface.
-
-    The same arguments give the same path. Thread-safe; any device.
+    """Plan a raster over a rectangle of the surface; see `plan_region` for the other arguments.
 
     Args:
         field: the field, neural or interpolated.
@@ -125,12 +137,53 @@ def plan_raster(
         opposite_corner_m: the corner across the diagonal.
         angle_rad: angle of the rectangle's first side against the lateral axis.
         config: all else; the defaults if left out.
-        tau: intensity of the surface if it is known already; else the configured one, or an estimate from the field.
-        field_hash: identity of the field, kept with the plan.
+        tau: see `plan_region`, as for the rest.
+        field_hash, keep_out, scan_ee2base: likewise.
 
     Raises:
-        PlanError: the rectangle is empty, outside the field or too finely spaced, the calibration is for another frame,
-            no surface is there, or too large a share of the waypoints was given up.
+        PlanError: the rectangle is none, or `plan_region` refuses.
+    """
+    region = rectangle_region(corner_m, opposite_corner_m, angle_rad)
+    return plan_region(
+        field,
+        calibration,
+        region,
+        config,
+        tau=tau,
+        field_hash=field_hash,
+        keep_out=keep_out,
+        scan_ee2base=scan_ee2base,
+    )
+
+
+def plan_region(
+    field: Field,
+    calibration: Calibration,
+    region: Region,
+    config: PlannerConfig | None = None,
+    *,
+    tau: float | None = None,
+    field_hash: str = "",
+    keep_out: Sequence[KeepOut] = (),
+    scan_ee2base: NDArray[np.float64] | None = None,
+) -> Plan:
+    """Plan a raster over a region of the surface.
+
+    The same arguments give the same path. Thread-safe; any device.
+
+    Args:
+        field: the field, neural or interpolated.
+        calibration: where the OCT probe sits on the end effector.
+        region: what the raster fills; its margin is that of `config.raster`.
+        config: all else; the defaults if left out.
+        tau: intensity of the surface if it is known already; else the configured one, or an estimate from the field.
+        field_hash: identity of the field, kept with the plan.
+        keep_out: places the laser must not reach.
+        scan_ee2base: pose of the end effector at the time of the scan, for keep-out regions in the base frame.
+
+    Raises:
+        PlanError: the region lies outside the field or is too finely spaced, the calibration is for another frame, no
+            surface is there, or the path leaves the safety envelope: it says which waypoint, where and why.
     """
     config = config or PlannerConfig()
     if field.geometry.frame != calibration.oct_frame:
@@ -139,47 +192,61 @@ def plan_raster(
             "load the calibration of that scanner"
         )
     began = time.perf_counter()
-    corners = rectangle_corners(corner_m, opposite_corner_m, angle_rad)
-    check_inside(field.geometry, corners, "raster corner")
-    raster = rectangle_raster(corner_m, opposite_corner_m, angle_rad, config.raster)
-    level = _tau(field, config, tau)
-    tau_done = time.perf_counter()
-    search = find_surface(field, raster.points_m, level, config.search)
-    _refuse_if_too_few(search, raster, level, config)
+    check_inside(field.geometry, region.vertices_m, "raster corner")
+    region = region.inset(config.raster.margin_m)
+    raster = _raster(field, region, config)
+    searched = time.perf_counter()
+    search = find_surface(field, raster, config.tau or None if tau is None else tau, config.search)
+    level = float(np.median(search.tau))
+    refuse_if_too_few(search, raster.points_m, level, config.envelope)
 
-    poses_began = time.perf_counter()
+    placed = time.perf_counter()
     kept = np.flatnonzero(~search.given_up)
-    surface_m = np.column_stack([raster.points_m, search.depth_m])[kept]
-    z_axis = _BEAM
-    if config.waypoints.orientation == "normal":
-        z_axis = inward_normals(field, surface_m, config.waypoints.normal_radius_voxels)
-    waypoints_oct = waypoint_poses(surface_m, z_axis, config.waypoints.standoff_m)
-    segment = _segments(raster.segment[kept], kept)
+    kept_m = np.column_stack([raster.points_m, search.depth_m])[kept]
+    waypoints = place_waypoints(field, kept_m, config.waypoints)
+    path = path_through(raster, kept, region.along, config.raster)
+    surface_m, waypoints_oct = kept_m[path.source], waypoints.poses_oct[path.source]
+    surface_m[:, :2] += path.shift_m
+    waypoints_oct[:, :2, 3] += path.shift_m
+
+    checked = time.perf_counter()
+    confidence = np.where(path.laser_on, search.confidence[kept][path.source], np.nan)
+    check_envelope(
+        PathToCheck(waypoints_oct[:, :3, 3], surface_m, path.segment, path.laser_on, confidence),
+        field.geometry,
+        config.envelope,
+        keep_out,
+        calibration,
+        scan_ee2base,
+    )
+    on = path.laser_on
+    covered = measure_coverage(region, surface_m[on], path.segment[on], config.raster.line_spacing_m)
+    budget = _budget(field, calibration, kept_m, search, waypoints, config)
     ended = time.perf_counter()
-    lost = np.flatnonzero(search.given_up)
     return Plan(
         waypoints_oct=waypoints_oct,
         waypoints_ee=calibration.oct2ee @ waypoints_oct,
         surface_m=surface_m,
-        segment=segment,
-        laser_on=np.ones(len(kept), dtype=np.bool_),
-        speed_m_s=np.full(len(kept), config.speed_m_s),
-        residual=search.residual[kept],
-        confidence=search.confidence[kept],
+        segment=path.segment,
+        laser_on=on,
+        speed_m_s=np.full(len(on), config.speed_m_s),
+        residual=np.where(on, search.residual[kept][path.source], np.nan),
+        confidence=confidence,
+        tilt_limited=waypoints.tilt_limited[path.source],
         requested=len(raster.segment),
-        given_up=len(lost),
-        given_up_points=tuple(
-            GivenUpPoint(float(x), float(y), GiveUp(code).text)
-            for (x, y), code in zip(raster.points_m[lost], search.reason[lost], strict=True)
-        ),
+        given_up=int(search.given_up.sum()),
+        given_up_points=_given_up_points(raster, search),
+        coverage=covered,
+        error_budget=budget,
         tau=level,
-        hit_rate=hit_rate(search.intensity, level, search.given_up, config.search.tolerance),
-        smoothness_mm2=smoothness_energy_mm2(surface_m[:, 2], segment),
+        hit_rate=hit_rate(search.intensity / search.tau, 1.0, search.given_up, config.search.tolerance),
+        smoothness_mm2=smoothness_energy_mm2(surface_m[on, 2], path.segment[on]),
         method=search.method,
         seconds={
-            "tau": tau_done - began,
+            "pattern": searched - began,
             **search.seconds,
-            "poses": ended - poses_began,
+            "poses": checked - placed,
+            "checks": ended - checked,
             "total": ended - began,
         },
         field_kind=field.kind,
@@ -191,63 +258,42 @@ def plan_raster(
     )
 
 
-def plan_to_plain(plan: Plan) -> dict[str, Any]:
-    """Return a plan as numbers, strings, lists and dicts that JSON can hold; poses as position and quaternion."""
-    positions, quaternions = plan.waypoints_ee[:, :3, 3], quaternions_xyzw(plan.waypoints_ee)
-    return {
-        "frame": plan.ee_frame,
-        "oct_frame": plan.oct_frame,
-        "stamp_ns": plan.stamp_ns,
-        "field_kind": plan.field_kind,
-        "field_hash": plan.field_hash,
-        "method": plan.method,
-        "tau": plan.tau,
-        "requested": plan.requested,
-        "given_up": plan.given_up,
-        "given_up_points": [point._asdict() for point in plan.given_up_points],
-        "hit_rate": plan.hit_rate,
-        "smoothness_mm2": plan.smoothness_mm2,
-        "seconds": dict(plan.seconds),
-        "config": plan.config,
-        "waypoints": {
-            "position_m": positions.tolist(),
-            "quaternion_xyzw": quaternions.tolist(),
-            "surface_oct_m": plan.surface_m.tolist(),
-            "segment": plan.segment.tolist(),
-            "laser_on": plan.laser_on.tolist(),
-            "speed_m_s": plan.speed_m_s.tolist(),
-            "residual": plan.residual.tolist(),
-            "confidence": plan.confidence.tolist(),
-        },
-    }
+def _raster(field: Field, region: Region, config: PlannerConfig) -> RasterPattern:
+    pattern = raster_pattern(region, config.raster)
+    if config.raster.point_spacing_along == "lateral":
+        return pattern
+    return raster_pattern(region, config.raster, first_pass(field, pattern.points_m, config.search.coarse))
 
 
-def _tau(field: Field, config: PlannerConfig, tau: float | None) -> float:
-    if tau is not None:
-        return tau
-    if config.tau > 0:
-        return config.tau
-    try:
-        return surface_intensity(surface_map(field, config.search.coarse))
-    except QueryError as error:
-        raise PlanError(f"no surface to estimate tau from: {error}") from error
-
-
-def _refuse_if_too_few(search: SurfaceSearch, raster: RasterPattern, tau: float, config: PlannerConfig) -> None:
+def _given_up_points(raster: RasterPattern, search: SurfaceSearch) -> tuple[GivenUpPoint, ...]:
     lost = np.flatnonzero(search.given_up)
-    share = len(lost) / len(search.given_up)
-    if share <= config.max_given_up and share < 1.0:
-        return
-    code, count = Counter(search.reason[lost].tolist()).most_common(1)[0]
-    x, y = raster.points_m[lost[0]] * 1e3
-    raise PlanError(
-        f"expected at most {config.max_given_up:.0%} of the waypoints given up, got {len(lost)} of "
-        f"{len(search.given_up)} ({share:.0%}), {count} of them because {GiveUp(code).text} (tau {tau:.3f}); the first "
-        f"at ({x:.3f}, {y:.3f}) mm. Move the raster to clear tissue, or scan again"
+    return tuple(
+        GivenUpPoint(float(x), float(y), GiveUp(code).text)
+        for (x, y), code in zip(raster.points_m[lost], search.reason[lost], strict=True)
     )
 
 
-def _segments(line: NDArray[np.int32], index: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Number the stretches of the path: a new raster line starts one, and so does a gap in the raster index."""
-    starts = (np.diff(line) != 0) | (np.diff(index) != 1)
-    return np.concatenate(([0], np.cumsum(starts))).astype(np.int32)
+def _budget(
+    field: Field,
+    calibration: Calibration,
+    kept_m: NDArray[np.float64],
+    search: SurfaceSearch,
+    waypoints: Waypoints,
+    config: PlannerConfig,
+) -> ErrorBudget:
+    level_set = kept_m - (0.0, 0.0, search.offset_correction_m)
+    geometry = field.geometry
+    points = torch.from_numpy(geometry.metric_to_canonical(level_set).clip(-1.0, 1.0).astype(np.float32))
+    _, gradient = field.value_and_gradient(points.to(field.device))
+    slope_per_m = gradient[:, 1].cpu().numpy().astype(np.float64) / geometry.metres_per_canonical[1]
+    bscan_m, _, lateral_m = geometry.spacing_m
+    return error_budget(
+        calibration,
+        kept_m,
+        search.residual[~search.given_up],
+        slope_per_m,
+        waypoints.normals,
+        config.waypoints,
+        config.waypoints.normal_radius_voxels * min(bscan_m, lateral_m),
+        config.budget,
+    )

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from octn_ros.errors import ConfigurationError, PlanError
-from octn_ros.planning import WaypointConfig, find_surface, inward_normals, rectangle_raster, waypoint_poses
+from octn_ros.planning import WaypointConfig, inward_normals, rectangle_raster, waypoint_poses
 
 RASTER = rectangle_raster((3e-4, 0.0), (7e-4, 5e-4))
 
@@ -17,8 +17,7 @@ def true_normals(field, points):
 
 @pytest.mark.parametrize(("radius", "degrees"), [(0.0, 0.5), (2.0, 10.0)])
 def test_normals_of_known_surfaces(any_field, radius, degrees):
-    depth = find_surface(any_field, RASTER.points_m, 0.4).depth_m
-    points = np.column_stack([RASTER.points_m, depth])
+    points = np.column_stack([RASTER.points_m, any_field.depth(*RASTER.points_m.T)])
     normals = inward_normals(any_field, points, radius)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert (normals[:, 2] > 0).all()
