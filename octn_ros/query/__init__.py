@@ -1,8 +1,10 @@
 """What one asks of a field: where the surface is, how bright it is, and pictures of it."""
 
 from octn_ros.query.bands import PAPER_BANDS, BandPoints, BandQuery, find_band
+from octn_ros.query.distance import DistanceMap, distance_to_mesh, signed_distance
 from octn_ros.query.enface_views import enface, layer_mean
 from octn_ros.query.lattice import Lattice
+from octn_ros.query.mesh import SurfaceMesh, iso_surface
 from octn_ros.query.native_surface import native_surface
 from octn_ros.query.regions import Box, EnfacePolygon, Region, Sphere, polygon
 from octn_ros.query.rendering import RenderConfig, Rendering, render
@@ -14,6 +16,7 @@ __all__ = [
     "BandPoints",
     "BandQuery",
     "Box",
+    "DistanceMap",
     "EnfacePolygon",
     "Lattice",
     "Plane",
@@ -23,16 +26,20 @@ __all__ = [
     "Sphere",
     "SurfaceMap",
     "SurfaceMapConfig",
+    "SurfaceMesh",
     "axial_slice",
     "bscan_slice",
+    "distance_to_mesh",
     "enface",
     "find_band",
+    "iso_surface",
     "lateral_slice",
     "layer_mean",
     "native_surface",
     "plane_slice",
     "polygon",
     "render",
+    "signed_distance",
     "surface_intensity",
     "surface_map",
 ]
