@@ -27,6 +27,9 @@ class FitConfig:
         low=0.0,
         high=120.0,
     )
+    stop_at_noise: bool = setting(
+        False, "end the fit once its error is down to the noise, which is estimated from neighbouring B-scans"
+    )
     batch: int = setting(1 << 18, "samples per step B (open in the paper)", low=64, high=1 << 24)
     alpha: float = setting(0.20, "share of interpolated samples in the hybrid stage", low=0.0, high=1.0)
     hybrid_share: float = setting(

@@ -17,11 +17,12 @@ from octn_ros.settings import as_plain
 from octn_ros.training.config import FitConfig
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.training.held_in import HeldInVoxels, psnr_of_error, psnr_of_field
+from octn_ros.training.noise import noise_variance
 from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
 from octn_ros.training.sampling import ResidentVoxels, VoxelSampler
 from octn_ros.volume import Volume
 
-Ended = Literal["steps", "time", "target", "cancelled", "diverged"]
+Ended = Literal["steps", "time", "target", "noise level", "cancelled", "diverged"]
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,9 @@ class FitResult:
         psnr_db: against the measured volume on evenly spaced B-scans; NaN if cancelled, since whoever cancels a fit
             wants it to end.
         history: the reports of the fit.
-        ended: why it ended: all "steps" done, "time" budget spent, "target" PSNR reached, "cancelled" from outside
-            (the field is then unfinished) or "diverged" (the field is then the last good one).
+        ended: why it ended: all "steps" done, "time" budget spent, "target" PSNR reached, error down to the "noise
+            level", "cancelled" from outside (the field is then unfinished) or "diverged" (the field is then the last
+            good one).
     """
 
     field: NeuralField
@@ -123,6 +125,7 @@ def _train(
     period = HeldInVoxels.period(config.batch)
     error = held_in.mean_squared_error(model)
     guard.keep(0, error)
+    noise = noise_variance(voxels) if config.stop_at_noise else -1.0
     schedule = Schedule(config)
     tally = ProgressTally(config, schedule)
     history: list[FitProgress] = []
@@ -155,6 +158,9 @@ def _train(
             guard.keep(step, error)
             if config.target_psnr_db > 0 and psnr_of_error(error) >= config.target_psnr_db:
                 ended = "target"
+                break
+            if error <= noise:
+                ended = "noise level"
                 break
         tell(tally.report(step, stage, psnr_of_error(error)))
     if ended not in ("cancelled", "diverged"):
