@@ -3,6 +3,7 @@
 from octn_ros.query.bands import PAPER_BANDS, BandPoints, BandQuery, find_band
 from octn_ros.query.distance import DistanceMap, distance_to_mesh, signed_distance
 from octn_ros.query.enface_views import enface, layer_mean
+from octn_ros.query.files import write_mesh, write_points
 from octn_ros.query.lattice import Lattice
 from octn_ros.query.mesh import SurfaceMesh, iso_surface
 from octn_ros.query.native_surface import native_surface
@@ -42,4 +43,6 @@ __all__ = [
     "signed_distance",
     "surface_intensity",
     "surface_map",
+    "write_mesh",
+    "write_points",
 ]
