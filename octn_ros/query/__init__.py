@@ -9,6 +9,7 @@ from octn_ros.query.mesh import SurfaceMesh, iso_surface
 from octn_ros.query.native_surface import native_surface
 from octn_ros.query.regions import Box, EnfacePolygon, Region, Sphere, polygon
 from octn_ros.query.rendering import RenderConfig, Rendering, render
+from octn_ros.query.slice_spec import SliceImage, SliceSpec
 from octn_ros.query.slices import Plane, axial_slice, bscan_slice, lateral_slice, plane_slice
 from octn_ros.query.surface import SurfaceMap, SurfaceMapConfig, surface_intensity, surface_map
 
@@ -24,6 +25,8 @@ __all__ = [
     "Region",
     "RenderConfig",
     "Rendering",
+    "SliceImage",
+    "SliceSpec",
     "Sphere",
     "SurfaceMap",
     "SurfaceMapConfig",
