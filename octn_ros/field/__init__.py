@@ -4,6 +4,7 @@ from octn_ros.field.checkpoint import FORMAT, dumps_field, field_hash, load_fiel
 from octn_ros.field.field import Field, FieldDescription
 from octn_ros.field.hash_grid import HashGridConfig
 from octn_ros.field.interpolated import InterpolatedField
+from octn_ros.field.metric import MetricField
 from octn_ros.field.network import NetworkConfig
 from octn_ros.field.neural import NeuralField, NeuralFieldConfig, NeuralModel
 
@@ -13,6 +14,7 @@ __all__ = [
     "FieldDescription",
     "HashGridConfig",
     "InterpolatedField",
+    "MetricField",
     "NetworkConfig",
     "NeuralField",
     "NeuralFieldConfig",

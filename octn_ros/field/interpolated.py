@@ -54,8 +54,12 @@ class InterpolatedField(DifferentiableField):
 
     def value_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return intensities [N] and their exact gradients [N, 3] by canonical position, in closed form."""
-        value, gradient, _ = self.value_gradient_hessian(points)
-        return value, gradient
+        values, gradients = [], []
+        for chunk in points.detach().split(_CHUNK // 4):
+            by_index = self._by_index(chunk, highest=1)
+            values.append(by_index[0, 0, 0])
+            gradients.append(_gradient(by_index) * self._rate(chunk))
+        return torch.cat(values), torch.cat(gradients)
 
     def value_gradient_hessian(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return intensities [N], gradients [N, 3] and Hessians [N, 3, 3] by canonical position, in closed form."""
@@ -83,11 +87,7 @@ class InterpolatedField(DifferentiableField):
         return interpolate_voxels(self._spline.coefficients, index)
 
     def _derivatives(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        by_index = self._spline.derivatives(self.geometry.canonical_to_voxel(points.clamp(-1.0, 1.0)))
-        bscans, axials, laterals = self.geometry.shape
-        # Indices per canonical unit along (lateral, axial, bscan); none where the point left the cube.
-        rate = points.new_tensor([laterals - 1, axials - 1, bscans - 1]) * 0.5 * (points.abs() <= 1.0)
-        gradient = torch.stack((by_index[0, 0, 1], by_index[0, 1, 0], by_index[1, 0, 0]), dim=-1)
+        by_index, rate = self._by_index(points, highest=2), self._rate(points)
         mixed = (by_index[0, 1, 1], by_index[1, 0, 1], by_index[1, 1, 0])
         unmixed = (by_index[0, 0, 2], by_index[0, 2, 0], by_index[2, 0, 0])
         rows = (
@@ -96,7 +96,15 @@ class InterpolatedField(DifferentiableField):
             (mixed[1], mixed[2], unmixed[2]),
         )
         hessian = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=1)
-        return by_index[0, 0, 0], gradient * rate, hessian * rate[:, :, None] * rate[:, None, :]
+        return by_index[0, 0, 0], _gradient(by_index) * rate, hessian * rate[:, :, None] * rate[:, None, :]
+
+    def _by_index(self, points: Tensor, highest: int) -> Tensor:
+        return self._spline.derivatives(self.geometry.canonical_to_voxel(points.clamp(-1.0, 1.0)), highest)
+
+    def _rate(self, points: Tensor) -> Tensor:
+        """Return indices per canonical unit [N, (lateral, axial, bscan)], none along axes that a point has left."""
+        bscans, axials, laterals = self.geometry.shape
+        return points.new_tensor([laterals - 1, axials - 1, bscans - 1]) * 0.5 * (points.abs() <= 1.0)
 
     def _line_values(self, lateral: Tensor, bscan: Tensor, axial: Tensor) -> Tensor:
         return self._spline.lines(self._index(bscan, 0), self._index(axial, 1), self._index(lateral, 2))
@@ -106,6 +114,10 @@ class InterpolatedField(DifferentiableField):
 
     def _index(self, canonical: Tensor, axis: int) -> Tensor:
         return (canonical.clamp(-1.0, 1.0) + 1.0) * (0.5 * (self.geometry.shape[axis] - 1))
+
+
+def _gradient(by_index: Tensor) -> Tensor:
+    return torch.stack((by_index[0, 0, 1], by_index[0, 1, 0], by_index[1, 0, 0]), dim=-1)
 
 
 def interpolate_voxels(voxels: Tensor, index: Tensor) -> Tensor:

@@ -11,8 +11,6 @@ from scipy import ndimage
 from torch import Tensor
 
 InterpolationOrder = Literal["trilinear", "cubic"]
-# Second derivatives are the highest that a basis gives.
-_DERIVATIVES = 3
 
 
 class Spline:
@@ -73,26 +71,25 @@ class Spline:
                 total = total + plane * row * (run * columns).sum(dim=-1)
         return total
 
-    def derivatives(self, index: Tensor) -> Tensor:
-        """Return all derivatives up to the second along each axis at fractional indices [N, 3].
+    def derivatives(self, index: Tensor, highest: int) -> Tensor:
+        """Return all derivatives up to the `highest` (1 or 2) along each axis at fractional indices [N, 3].
 
         Returns:
-            [3, 3, 3, N]: entry [i, j, k] is the i-th derivative by the bscan, j-th by the axial and k-th by the
-            lateral index.
+            [highest + 1, highest + 1, highest + 1, N]: entry [i, j, k] is the i-th derivative by the bscan, j-th by
+            the axial and k-th by the lateral index.
         """
         cells, fractions = zip(*(self.cell(index[:, axis], axis) for axis in range(3)), strict=True)
+        orders = range(highest + 1)
         planes, rows, columns = (
-            [self.weights(fraction, order) for order in range(_DERIVATIVES)] for fraction in fractions
+            torch.stack([torch.stack(self.weights(fraction, order)) for order in orders]) for fraction in fractions
         )
-        lateral = torch.stack([torch.stack(weights, dim=-1) for weights in columns])
-        answer = index.new_zeros(_DERIVATIVES, _DERIVATIVES, _DERIVATIVES, len(index))
+        answer = index.new_zeros(len(orders), len(orders), len(orders), len(index))
         for d in range(self._taps):
-            plane = torch.stack([planes[order][d] for order in range(_DERIVATIVES)])
-            image = index.new_zeros(_DERIVATIVES, _DERIVATIVES, len(index))
+            image = torch.zeros_like(answer[0])
             for h in range(self._taps):
-                run = (self._runs(cells[0] + d, cells[1] + h, cells[2]) * lateral).sum(dim=-1)
-                image += torch.stack([rows[order][h] for order in range(_DERIVATIVES)])[:, None] * run
-            answer += plane[:, None, None] * image
+                run = self._runs(cells[0] + d, cells[1] + h, cells[2]).T
+                image += rows[:, h][:, None] * (columns * run).sum(dim=1)
+            answer += planes[:, d][:, None, None] * image
         return answer
 
     def axial_value_and_slope(self, bscan: Tensor, axial: Tensor, lateral: Tensor) -> tuple[Tensor, Tensor]:
