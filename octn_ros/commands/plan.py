@@ -1,4 +1,4 @@
-"""`octn plan`: a fitted field and a calibration in, laser waypoints in the end-effector frame out."""
+"""`octn plan`: a field and a calibration in, laser waypoints in the end-effector frame out."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ import dataclasses
 import io
 import json
 import math
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
+from octn_ros.commands.plan_files import read_polygon, read_pose, read_settings
+from octn_ros.commands.plan_options import Places, add_region, add_settings, region_places, setting_changes
+from octn_ros.commands.sources import FIELD_SUFFIX, Order, add_source, open_field
 
 if TYPE_CHECKING:
-    from octn_ros.planning import Plan
+    from octn_ros.field import Field
+    from octn_ros.planning import Plan, PlannerConfig, Region
 
 CSV_COLUMNS = (
     "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "segment", "laser_on", "speed_m_s", "residual", "confidence",
@@ -28,22 +33,39 @@ class PlanCommand:
     """Plan a raster over the surface of one field.
 
     Attributes:
-        field: the safetensors file of the field.
+        field: the field file, or a C-scan file to interpolate.
         calibration: the YAML file with `oct2ee` and `laser2ee`.
         output: the .json or .csv file to write.
-        corner_mm, opposite_mm: corners (x, y) of the rectangle in the OCT frame; None for the largest centred one.
-        angle_deg: angle of the rectangle about the beam.
-        line_spacing_um: distance between raster lines, None for the planner's default.
+        region: "corners", "centre", "polygon" or, for the largest centred rectangle up to 3 x 3 mm, "".
+        places: of the region: two corners, or centre and size, as ((x, y), (x, y)) in millimetres.
+        polygon: CSV file of the region's corners.
+        angle_deg: angle of the lines, and so of the rectangle, about the beam.
+        changes: planner settings given as options, as (dotted name, value).
+        settings: YAML file of planner settings, which the options override.
+        keep_out: YAML file of keep-out regions.
+        scan_pose: YAML file of the end effector's pose at the scan.
+        picture: PNG file to draw the plan into.
+        spacing_um: of a C-scan, if its file does not state it.
+        order: how a C-scan is interpolated.
+        device: auto, cpu, cuda, ...
         json: print JSON instead of a table.
     """
 
     field: Path
     calibration: Path
     output: Path
-    corner_mm: tuple[float, float] | None = None
-    opposite_mm: tuple[float, float] | None = None
+    region: str = ""
+    places: Places = ((0.0, 0.0), (0.0, 0.0))
+    polygon: Path | None = None
     angle_deg: float = 0.0
-    line_spacing_um: float | None = None
+    changes: tuple[tuple[str, Any], ...] = ()
+    settings: Path | None = None
+    keep_out: Path | None = None
+    scan_pose: Path | None = None
+    picture: Path | None = None
+    spacing_um: tuple[float, float, float] | None = None
+    order: Order | None = None
+    device: str = "auto"
     json: bool = False
 
     def run(self) -> int:
@@ -54,46 +76,70 @@ class PlanCommand:
         """
         if self.output.suffix not in (".json", ".csv"):
             raise terminal.CommandError(f"{self.output}: expected a plan to write as .json or .csv")
-        if (self.corner_mm is None) != (self.opposite_mm is None):
-            raise terminal.CommandError("expected --corner-mm and --opposite-mm together, got only one of them")
-        terminal.check_output_file(self.output)
-        plan = self._plan()
+        if self.picture is not None and self.picture.suffix != ".png":
+            raise terminal.CommandError(f"{self.picture}: expected a picture to write as .png")
+        for path in (self.output, self.picture):
+            if path is not None:
+                terminal.check_output_file(path)
+        field, plan = self._plan()
         write_plan(self.output, plan)
-        values = {
-            "plan": str(self.output),
-            "waypoints": len(plan.waypoints_ee),
-            "requested": plan.requested,
-            "given_up": plan.given_up,
-            "tau": plan.tau,
-            "hit_rate": plan.hit_rate,
-            "smoothness_mm2": plan.smoothness_mm2,
-            "method": plan.method,
-            "seconds": plan.seconds,
-            "field_hash": plan.field_hash,
-        }
+        values = {"plan": str(self.output), **_figures(plan)}
+        if self.picture is not None:
+            from octn_ros.commands.plan_picture import plan_picture
+
+            terminal.write_bytes(self.picture, plan_picture(field, plan))
+            values["picture"] = str(self.picture)
         if self.json:
             terminal.print_json(values)
         else:
             terminal.print_table(f"{self.field.name}: planned", _rows(values))
         return 0
 
-    def _plan(self) -> Plan:
-        from octn_ros.demo.rectangle import centred_rectangle
-        from octn_ros.field import field_hash, load_field
-        from octn_ros.planning import PlannerConfig, load_calibration, plan_raster
+    def _plan(self) -> tuple[Field, Plan]:
+        from octn_ros.field import field_hash
+        from octn_ros.planning import load_calibration, load_keep_out, plan_region
 
         calibration = load_calibration(self.calibration)
-        field = load_field(self.field)
-        config, angle = PlannerConfig(), math.radians(self.angle_deg)
-        if self.line_spacing_um is not None:
-            raster = dataclasses.replace(config.raster, line_spacing_m=self.line_spacing_um * 1e-6)
-            config = dataclasses.replace(config, raster=raster)
-        if self.corner_mm is not None and self.opposite_mm is not None:
-            corner, opposite = (tuple(value * 1e-3 for value in c) for c in (self.corner_mm, self.opposite_mm))
-        else:
-            corner, opposite = centred_rectangle(field.geometry, angle)
-        identity = field_hash(self.field.read_bytes())
-        return plan_raster(field, calibration, corner, opposite, angle, config, field_hash=identity)
+        keep_out = load_keep_out(self.keep_out, calibration) if self.keep_out else ()
+        scan_ee2base = read_pose(self.scan_pose) if self.scan_pose else None
+        config = self._config()
+        field = open_field(self.field, self.spacing_um, self.order, self.device)
+        is_field = self.field.suffix == FIELD_SUFFIX
+        plan = plan_region(
+            field,
+            calibration,
+            self._region(field),
+            config,
+            field_hash=field_hash(self.field.read_bytes()) if is_field else "",
+            keep_out=keep_out,
+            scan_ee2base=scan_ee2base,
+        )
+        return field, plan
+
+    def _config(self) -> PlannerConfig:
+        from octn_ros.planning import PlannerConfig
+
+        config = read_settings(self.settings) if self.settings else PlannerConfig()
+        for name, value in self.changes:
+            part, _, setting = name.rpartition(".")
+            if part:
+                value = dataclasses.replace(getattr(config, part), **{setting: value})
+            config = dataclasses.replace(config, **{part or setting: value})
+        return config
+
+    def _region(self, field: Field) -> Region:
+        from octn_ros.demo.rectangle import centred_rectangle
+        from octn_ros.planning import centred_rectangle_region, polygon_region, rectangle_region
+
+        angle = math.radians(self.angle_deg)
+        if self.polygon is not None:
+            return polygon_region(read_polygon(self.polygon), angle)
+        first, second = (tuple(value * 1e-3 for value in place) for place in self.places)
+        if self.region == "corners":
+            return rectangle_region(first, second, angle)
+        if self.region == "centre":
+            return centred_rectangle_region(first, second, angle)
+        return rectangle_region(*centred_rectangle(field.geometry, angle), angle)
 
 
 def write_plan(path: Path, plan: Plan) -> None:
@@ -130,50 +176,91 @@ def write_plan(path: Path, plan: Plan) -> None:
 def add_parser(commands: Any) -> None:
     """Add the command to the parser's subcommands."""
     parser = commands.add_parser("plan", help="plan a laser raster over a field's surface", description=__doc__)
-    parser.add_argument("field", type=Path, metavar="FIELD", help="the field, as `octn fit` wrote it")
+    add_source(parser)
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="YAML with oct2ee and laser2ee, units m"
     )
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE", help="the plan to write, .json or .csv"
     )
-    for name, text in (("corner", "one corner"), ("opposite", "the opposite corner")):
-        parser.add_argument(
-            f"--{name}-mm",
-            nargs=2,
-            type=float,
-            metavar=("X", "Y"),
-            help=f"{text} of the rectangle in the OCT frame; default: the largest centred one up to 3 x 3 mm",
-        )
-    parser.add_argument("--angle-deg", type=float, default=0.0, metavar="A", help="angle of the rectangle")
-    parser.add_argument("--line-spacing-um", type=float, metavar="S", help="distance between raster lines")
+    add_region(parser)
+    add_settings(parser)
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="YAML of planner settings, below the options")
+    parser.add_argument("--keep-out", type=Path, metavar="FILE", help="YAML of regions that the laser must not reach")
+    parser.add_argument(
+        "--scan-pose", type=Path, metavar="FILE", help="YAML with ee2base at the scan, for regions in the base frame"
+    )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw path and residuals, .png")
     common.add_json(parser)
     parser.set_defaults(read=_read)
 
 
 def _read(arguments: argparse.Namespace) -> PlanCommand:
+    region, places = region_places(arguments)
     return PlanCommand(
         field=arguments.field,
         calibration=arguments.calibration,
         output=arguments.output,
-        corner_mm=_pair(arguments.corner_mm),
-        opposite_mm=_pair(arguments.opposite_mm),
+        region=region,
+        places=places,
+        polygon=arguments.polygon,
         angle_deg=arguments.angle_deg,
-        line_spacing_um=arguments.line_spacing_um,
+        changes=tuple(setting_changes(arguments)),
+        settings=arguments.settings,
+        keep_out=arguments.keep_out,
+        scan_pose=arguments.scan_pose,
+        picture=arguments.picture,
+        spacing_um=common.spacing(arguments),
+        order=arguments.order,
+        device=arguments.device,
         json=arguments.json,
     )
 
 
-def _pair(values: list[float] | None) -> tuple[float, float] | None:
-    return None if values is None else (values[0], values[1])
+def _figures(plan: Plan) -> dict[str, Any]:
+    return {
+        "waypoints": int(plan.laser_on.sum()),
+        "leads": int((~plan.laser_on).sum()),
+        "requested": plan.requested,
+        "given_up": plan.given_up,
+        "given_up_because": dict(Counter(point.reason for point in plan.given_up_points)),
+        "tilt_limited": int(plan.tilt_limited.sum()),
+        "tau": plan.tau,
+        "hit_rate": plan.hit_rate,
+        "smoothness_mm2": plan.smoothness_mm2,
+        "coverage": dataclasses.asdict(plan.coverage),
+        "error_budget": plan.error_budget.to_plain(),
+        "method": plan.method,
+        "seconds": plan.seconds,
+        "field_hash": plan.field_hash,
+    }
 
 
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
-    return [
-        ("waypoints", f"{values['waypoints']} of {values['requested']}, {values['given_up']} given up"),
+    covered, budget = values["coverage"], values["error_budget"]
+    because = "".join(f"; {count}: {reason}" for reason, count in values["given_up_because"].items())
+    leads = f", {values['leads']} leads with the laser off" if values["leads"] else ""
+    lacking = f", without {', '.join(budget['not_stated'])} (not stated)" if budget["not_stated"] else ""
+    rows = [
+        ("waypoints", f"{values['waypoints']} of {values['requested']}, {values['given_up']} given up{because}{leads}"),
         ("hit rate", f"{100 * values['hit_rate']:.1f} % within 5 % of tau = {values['tau']:.3f}"),
         ("smoothness energy", f"{values['smoothness_mm2']:.4g} mm^2"),
+        (
+            "widest gap",
+            f"{covered['line_gap_m'] * 1e6:.1f} um between lines ({covered['surface_line_gap_m'] * 1e6:.1f} on the "
+            f"surface), {covered['border_gap_m'] * 1e6:.1f} um to the border, {100 * covered['open_share']:.2g} % of "
+            "the region in gaps wider than the line spacing",
+        ),
+        *(
+            (f"error: {term['name']}", f"{term['micrometres']:.2f} um, {term['source']}")
+            for term in budget["terms"]
+            if term["micrometres"]
+        ),
+        ("error in all", f"{budget['total_um']:.1f} um{lacking}"),
         ("surface search", values["method"]),
         ("time", ", ".join(f"{name} {value:.2f} s" for name, value in values["seconds"].items())),
         ("plan", values["plan"]),
     ]
+    if values["tilt_limited"]:
+        rows.insert(1, ("tilted to the limit", f"{values['tilt_limited']} waypoints"))
+    return rows

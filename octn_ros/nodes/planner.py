@@ -1,4 +1,4 @@
-"""The planner node: a fitted field and two corners in, laser waypoints out."""
+"""The planner node: a fitted field and a region in, laser waypoints out."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import math
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
 
 from octn_ros.errors import OctnError, PlanError
 from octn_ros.field.device import DEVICE_DESCRIPTION, torch_device
@@ -23,11 +25,23 @@ from octn_ros.nodes import conversions, process, qos, status
 from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters
-from octn_ros.planning import Plan, PlannerConfig, load_calibration, plan_raster
+from octn_ros.planning import (
+    Plan,
+    PlannerConfig,
+    Region,
+    RegionConfig,
+    load_calibration,
+    load_keep_out,
+    plan_region,
+    rectangle_region,
+)
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
 
 KEPT_POSES = 8  # scan_ee_pose of the last scans: the pose of a scan comes before its field
+
+# What a service is asked to plan, from the present field and the pose of its scan.
+Wanted = Callable[[ReceivedField, "NDArray[np.float64] | None"], tuple[Region, PlannerConfig]]
 
 
 @dataclass(frozen=True)
@@ -36,6 +50,7 @@ class PlannerNodeConfig:
 
     device: str = setting("auto", DEVICE_DESCRIPTION)
     calibration: str = setting("", "calibration file (YAML); empty = the package's config/calibration.yaml")
+    keep_out: str = setting("", "file of keep-out regions (YAML) that no plan may touch; empty = none")
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -51,7 +66,9 @@ class Planner(Node):
         super().__init__("planner", namespace=namespace, **options)
         config = ConfigParameters(self, PlannerNodeConfig(), read_only=True).config()
         self._planner_config = ConfigParameters(self, PlannerConfig())
+        self._region_config = ConfigParameters(self, RegionConfig(), "region")
         self._calibration = load_calibration(config.calibration or config_path("calibration.yaml"))
+        self._keep_out = load_keep_out(config.keep_out, self._calibration) if config.keep_out else ()
         self._scan_poses: dict[int, NDArray[np.float64]] = {}
         self._plan_stands = False
 
@@ -66,8 +83,10 @@ class Planner(Node):
         self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
         self.create_subscription(PoseStamped, "scan_ee_pose", self._on_scan_ee_pose, qos.LATCHED, callback_group=group)
         self.create_service(GetPlan, "plan_raster", self._plan_raster, callback_group=group)
+        self.create_service(Trigger, "replan", self._replan, callback_group=group)
         self.get_logger().info(
-            f"ready: device {device}, calibration {self._calibration.deviation:.1e} from orthonormal"
+            f"ready: device {device}, calibration {self._calibration.deviation:.1e} from orthonormal, "
+            f"{len(self._keep_out)} keep-out regions"
         )
 
     # --- fields and poses
@@ -100,43 +119,58 @@ class Planner(Node):
     # --- plans
 
     def _plan_raster(self, request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
-        try:
-            received, ee2base, plan = self._make_plan(request)
-        except OctnError as error:
-            self._status.report(status.ERROR, f"plan_raster refused: {error}", {"state": "refused"})
-            return response
-        except Exception as error:  # a fault of ours, or memory that ran out: the node and its callers live on
-            reason = f"plan_raster failed: {type(error).__name__}: {error}"
-            self._status.report(status.ERROR, reason, {"state": "failed"})
-            return response
-        self._publish(received, plan, ee2base)
-        response.plan = conversions.to_path(plan.waypoints_ee, received.stamp_ns, self._calibration.ee_frame)
+        def requested(received: ReceivedField, ee2base: NDArray[np.float64] | None) -> tuple[Region, PlannerConfig]:
+            config = self._planner_config.config()
+            line_spacing_m = conversions.shortest_decimal(request.tolerance)
+            if line_spacing_m != 0.0:
+                raster = dataclasses.replace(config.raster, line_spacing_m=line_spacing_m)
+                config = dataclasses.replace(config, raster=raster)
+            frames = ScanFrames(self._calibration, ee2base)
+            start, goal = frames.to_oct(request.start), frames.to_oct(request.goal)
+            angle_rad = math.atan2(start[1, 0], start[0, 0])
+            return rectangle_region(start[:2, 3], goal[:2, 3], angle_rad), config
+
+        plan, _ = self._plan("plan_raster", requested)
+        if plan is not None:
+            response.plan = conversions.to_path(plan.waypoints_ee, plan.stamp_ns, self._calibration.ee_frame)
         return response
 
-    def _make_plan(self, request: GetPlan.Request) -> tuple[ReceivedField, NDArray[np.float64] | None, Plan]:
-        received = self._fields.current
-        if received is None:
-            raise PlanError("expected a fitted field, got none yet; scan or load a C-scan and wait for its fit")
-        config = self._planner_config.config()
-        line_spacing_m = conversions.shortest_decimal(request.tolerance)
-        if line_spacing_m != 0.0:
-            raster = dataclasses.replace(config.raster, line_spacing_m=line_spacing_m)
-            config = dataclasses.replace(config, raster=raster)
-        ee2base = self._scan_poses.get(received.stamp_ns)
-        frames = ScanFrames(self._calibration, ee2base)
-        start, goal = frames.to_oct(request.start), frames.to_oct(request.goal)
-        plan = plan_raster(
-            received.field,
-            self._calibration,
-            start[:2, 3],
-            goal[:2, 3],
-            math.atan2(start[1, 0], start[0, 0]),
-            config,
-            field_hash=received.hash,
-        )
-        return received, ee2base, plan
+    def _replan(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def configured(received: ReceivedField, _: NDArray[np.float64] | None) -> tuple[Region, PlannerConfig]:
+            return self._region_config.config().region(received.field.geometry), self._planner_config.config()
 
-    def _publish(self, received: ReceivedField, plan: Plan, ee2base: NDArray[np.float64] | None) -> None:
+        plan, response.message = self._plan("replan", configured)
+        response.success = plan is not None
+        return response
+
+    def _plan(self, service: str, wanted: Wanted) -> tuple[Plan | None, str]:
+        """Plan and publish what a service was asked for; or report why not. Returns the plan and what happened."""
+        try:
+            received = self._fields.current
+            if received is None:
+                raise PlanError("expected a fitted field, got none yet; scan or load a C-scan and wait for its fit")
+            ee2base = self._scan_poses.get(received.stamp_ns)
+            region, config = wanted(received, ee2base)
+            plan = plan_region(
+                received.field,
+                self._calibration,
+                region,
+                config,
+                field_hash=received.hash,
+                keep_out=self._keep_out,
+                scan_ee2base=ee2base,
+            )
+        except OctnError as error:
+            reason = f"{service} refused: {error}"
+            self._status.report(status.ERROR, reason, {"state": "refused"})
+            return None, reason
+        except Exception as error:  # a fault of ours, or memory that ran out: the node and its callers live on
+            reason = f"{service} failed: {type(error).__name__}: {error}"
+            self._status.report(status.ERROR, reason, {"state": "failed"})
+            return None, reason
+        return plan, self._publish(received, plan, ee2base)
+
+    def _publish(self, received: ReceivedField, plan: Plan, ee2base: NDArray[np.float64] | None) -> str:
         rows = conversions.tool_path(
             plan.waypoints_ee, plan.segment, plan.laser_on, plan.speed_m_s, plan.residual, plan.confidence
         )
@@ -145,6 +179,7 @@ class Planner(Node):
         self._plan_stands = True
         text = f"{len(rows)} waypoints in {plan.seconds['total']:.2f} s, hit rate {plan.hit_rate:.1%}"
         self._status.report(status.OK, text, _figures(plan))
+        return text
 
     def _withdraw(self, received: ReceivedField) -> None:
         nothing = np.empty((0, 4, 4))
@@ -182,7 +217,10 @@ def _figures(plan: Plan) -> dict[str, Any]:
         "requested": plan.requested,
         "given_up": plan.given_up,
         "given_up_because": dict(Counter(point.reason for point in plan.given_up_points)),
-        "residual_rms": float(np.sqrt(np.mean(np.square(plan.residual)))),
+        "residual_rms": float(np.sqrt(np.mean(np.square(plan.residual[plan.laser_on])))),
+        "tilt_limited": int(plan.tilt_limited.sum()),
+        "coverage": dataclasses.asdict(plan.coverage),
+        "error_budget": plan.error_budget.to_plain(),
         "seconds": plan.seconds,
         "config": plan.config,
     }

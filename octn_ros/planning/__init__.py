@@ -15,6 +15,7 @@ from octn_ros.planning.region import (
     rectangle_corners,
     rectangle_region,
 )
+from octn_ros.planning.region_config import RegionConfig
 from octn_ros.planning.surface_search import GiveUp, SurfaceSearch, SurfaceSearchConfig, find_surface
 from octn_ros.planning.transforms import from_translation_quaternion, invert, make_rigid, quaternions_xyzw
 from octn_ros.planning.waypoints import WaypointConfig, Waypoints, inward_normals, place_waypoints, waypoint_poses
@@ -34,6 +35,7 @@ __all__ = [
     "RasterConfig",
     "RasterPattern",
     "Region",
+    "RegionConfig",
     "SurfaceSearch",
     "SurfaceSearchConfig",
     "WaypointConfig",
