@@ -23,6 +23,7 @@ ALLOWED = {
     "query": {"volume", "field"},
     "planning": {"volume", "field", "query", "metrics"},
     "simulation": {"volume", "planning", "metrics"},
+    "evaluation": {"volume", "field", "training", "query", "planning", "simulation", "metrics", "demo"},
     "embedded": set(),
 }
 CORE = [room for room in ALLOWED if room != "embedded"]

@@ -118,6 +118,16 @@ def write_text(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a binary file, a picture for instance.
+
+    Raises:
+        CommandError: it cannot be written.
+    """
+    with _writing(path):
+        path.write_bytes(content)
+
+
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
     try:

@@ -1,6 +1,6 @@
 """Figures of merit for images, surfaces and paths, on NumPy arrays alone."""
 
-from octn_ros.metrics.image import SSIM_PARAMETERS, psnr_db, psnr_from_error_db, ssim
+from octn_ros.metrics.image import SSIM_PARAMETERS, SSIM_WINDOW, psnr_db, psnr_from_error_db, ssim
 from octn_ros.metrics.noise import edge_preservation_index, snr_db
 from octn_ros.metrics.path import hit_rate, smoothness_energy_mm2
 from octn_ros.metrics.point_cloud import MAX_POINTS, CloudDistance, chamfer_m, cloud_distance, hausdorff_m
@@ -16,6 +16,7 @@ from octn_ros.metrics.surface import (
 __all__ = [
     "MAX_POINTS",
     "SSIM_PARAMETERS",
+    "SSIM_WINDOW",
     "CloudDistance",
     "RegionKind",
     "RegionOfInterest",

@@ -20,7 +20,7 @@ SSIM_PARAMETERS: dict[str, Any] = {
     "K1": 0.01,
     "K2": 0.03,
 }
-_SSIM_WINDOW = 11
+SSIM_WINDOW = 11
 
 
 def psnr_db(reference: NDArray[Any], test: NDArray[Any], data_range: float = 1.0) -> float:
@@ -72,9 +72,9 @@ def ssim(reference: NDArray[Any], test: NDArray[Any], data_range: float = 1.0) -
     Raises:
         QueryError: the shapes differ, the images are smaller than the window, or the range is not a positive number.
     """
-    if reference.shape != test.shape or reference.ndim != 2 or min(reference.shape) < _SSIM_WINDOW:
+    if reference.shape != test.shape or reference.ndim != 2 or min(reference.shape) < SSIM_WINDOW:
         raise QueryError(
-            f"ssim: expected two images of one shape, {_SSIM_WINDOW} x {_SSIM_WINDOW} at least, "
+            f"ssim: expected two images of one shape, {SSIM_WINDOW} x {SSIM_WINDOW} at least, "
             f"got {reference.shape} and {test.shape}"
         )
     _check_range("ssim", data_range)
