@@ -23,7 +23,7 @@ from octn_ros.demo.graph import DemoError, demo_graph
 from octn_ros.demo.pictures import FitPoint
 from octn_ros.demo.rectangle import centred_rectangle
 from octn_ros.demo.source import ScanSource
-from octn_ros.field import NeuralField, field_hash, loads_field
+from octn_ros.field import Field, field_hash, loads_field
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.client import GraphClient, Watch
 from octn_ros.volume import VolumeGeometry
@@ -56,7 +56,7 @@ class SessionRecord:
         seconds: duration of each part.
     """
 
-    field: NeuralField
+    field: Field
     field_hash: str
     fit: dict[str, str]
     history: tuple[FitPoint, ...]
@@ -110,7 +110,7 @@ def run_session(source: ScanSource, fit_parameters: Mapping[str, Any], show: Sho
         data = conversions.field_data(message)
         with watch.part("plan"):
             show("planning", 0.0, "")
-            plan = _plan(client, ears, source.volume.geometry, conversions.stamp_to_ns(message.header.stamp))
+            plan = _plan(client, ears, source.volume.geometry, field_hash(data))
             waypoints_oct, tool_path = _waypoints(ears, plan)
         with watch.part("execute"):
             execution = _execute(client, ears, show)
@@ -165,17 +165,17 @@ def _scan(client: GraphClient, ears: Ears) -> None:
 def _wait_field(ears: Ears, fit_parameters: Mapping[str, Any]) -> CompressedImage:
     budget_s = float(fit_parameters["fit.time_budget_s"])
     values = _wait_state(ears.fit_progress, ("done",), ("refused", "failed", "cancelled"), budget_s + FIT_GRACE_S)
-    stamp_ns = int(values["stamp_ns"])
-    return ears.field.wait(ANSWER_S, lambda message: conversions.stamp_to_ns(message.header.stamp) == stamp_ns)
+    # The field through the voxels came first, on the same topic and of the same stamp.
+    return ears.field.wait(ANSWER_S, lambda message: field_hash(conversions.field_data(message)) == values["field_hash"])
 
 
-def _plan(client: GraphClient, ears: Ears, geometry: VolumeGeometry, stamp_ns: int) -> dict[str, str]:
-    """Ask for the default rectangle; return the planner's report on it."""
+def _plan(client: GraphClient, ears: Ears, geometry: VolumeGeometry, field: str) -> dict[str, str]:
+    """Ask for the default rectangle on the field of that hash; return the planner's report on it."""
 
-    def of_this_scan(message: DiagnosticArray) -> bool:
-        return status.read(message)[2].get("stamp_ns") == str(stamp_ns)
+    def of_this_field(message: DiagnosticArray) -> bool:
+        return status.read(message)[2].get("field_hash") == field
 
-    ears.plan_status.wait(ANSWER_S, of_this_scan)  # "ready": the planner has the field too
+    ears.plan_status.wait(ANSWER_S, of_this_field)  # "ready": the planner has the field too
     corner, opposite = centred_rectangle(geometry)
     request = GetPlan.Request(tolerance=LINE_SPACING_M)
     for pose, (x, y) in ((request.start, corner), (request.goal, opposite)):

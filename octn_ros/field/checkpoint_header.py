@@ -21,7 +21,8 @@ FORMAT_VERSION = 2
 _HEADER_KEY = "octn_field"
 # Ours are of some kilobytes; the limit keeps a hostile one from becoming gigabytes of parsed JSON.
 _LONGEST_HEADER = 1 << 20
-_LONGEST_AXIS = 1 << 20
+# A scan of 2^36 voxels is 64 GB at least: who renders a field on its own grid must be able to.
+_MOST_VOXELS = 1 << 36
 _ITEM_BYTES = {"U8": 1, "U16": 2, "F16": 2, "F32": 4}
 _VOXEL_TYPES = ("U8", "U16", "F32")
 _PARAMETER_TYPES = ("F16", "F32")
@@ -144,8 +145,8 @@ def _description(header: Mapping[str, Any], kind: Any) -> FieldDescription:
 
 def _geometry(stored: Mapping[str, Any]) -> VolumeGeometry:
     shape, frame = tuple(stored["shape"]), stored["frame"]
-    if not all(type(n) is int and n <= _LONGEST_AXIS for n in shape):
-        raise ValueError(f"expected a shape of at most {_LONGEST_AXIS} voxels along each axis, got {shape}")
+    if not all(type(n) is int for n in shape) or math.prod(shape) > _MOST_VOXELS:
+        raise ValueError(f"expected a shape of at most {_MOST_VOXELS} voxels, got {shape}")
     if not isinstance(frame, str):
         raise TypeError(f"expected the name of a frame, got {frame!r}")
     spacing_m, origin_m = (tuple(_number(value) for value in stored[name]) for name in ("spacing_m", "origin_m"))

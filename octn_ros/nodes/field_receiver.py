@@ -11,7 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
 from octn_ros.errors import OctnError
-from octn_ros.field import NeuralField, field_hash, loads_field
+from octn_ros.field import Field, field_hash, loads_field
 from octn_ros.nodes import conversions, qos
 
 
@@ -26,7 +26,7 @@ class ReceivedField:
         frame: the OCT frame's name.
     """
 
-    field: NeuralField
+    field: Field
     hash: str
     stamp_ns: int
     frame: str
