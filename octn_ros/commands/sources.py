@@ -45,8 +45,7 @@ def open_field(
     target = torch_device(device) if isinstance(device, str) else device
     path = Path(path)
     if path.suffix != FIELD_SUFFIX:
-        options = {"order": order} if order else {}
-        return InterpolatedField(load_volume(path, spacing_um), target, **options)
+        return InterpolatedField(load_volume(path, spacing_um), target, order or "trilinear")
     for name, value in (("--spacing-um", spacing_um), ("--order", order)):
         if value is not None:
             raise CommandError(f"{path}: expected {name} for a C-scan only; a field file states it itself")
