@@ -8,7 +8,6 @@ from octn_ros.metrics.region import RegionKind, RegionOfInterest, find_regions, 
 from octn_ros.metrics.surface import (
     SurfaceDistance,
     depth_rms_um,
-    nearest_distance_m,
     summarise_distance,
     surface_distance,
 )
@@ -29,7 +28,6 @@ __all__ = [
     "hausdorff_m",
     "hit_rate",
     "load_regions",
-    "nearest_distance_m",
     "psnr_db",
     "psnr_from_error_db",
     "smoothness_energy_mm2",
