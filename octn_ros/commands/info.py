@@ -9,6 +9,9 @@ from typing import Any
 
 from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
+from octn_ros.commands.reading import FILE_HELP, Reading, add_reading, reading
+
+_BAR_LENGTH = 40
 
 
 @dataclass(frozen=True)
@@ -16,13 +19,11 @@ class InfoCommand:
     """Describe one C-scan file.
 
     Attributes:
-        file: the NIfTI file.
-        spacing_um: spacing along (bscan, axial, lateral), overrides the file's.
+        scan: the file and how to read it.
         json: print JSON instead of a table.
     """
 
-    file: Path
-    spacing_um: tuple[float, float, float] | None = None
+    scan: Reading
     json: bool = False
 
     def run(self) -> int:
@@ -35,39 +36,50 @@ class InfoCommand:
         if self.json:
             terminal.print_json(values)
         else:
-            terminal.print_table(str(self.file), _rows(values))
+            terminal.print_table(str(self.scan.file), _rows(values))
         return 0
 
     def _describe(self) -> dict[str, Any]:
-        import numpy as np
+        from octn_ros.volume import Normalisation
+        from octn_ros.volume.appraisal import appraise, histogram
 
-        from octn_ros.volume import load_volume
-
-        volume = load_volume(self.file, self.spacing_um)
+        volume = self.scan.load()
         geometry = volume.geometry
         x, y, z = geometry.extent_m
-        quantiles = np.quantile(volume.array, (0.01, 0.5, 0.99))
+        counts, edges = histogram(volume)
+        p1, p99 = Normalisation("percentile", 1.0, 99.0).intensity_range(volume.array)
+        median, _ = Normalisation("percentile", 50.0, 100.0).intensity_range(volume.array)
+        found = appraise(volume)
+        axial_um, top_um = geometry.spacing_m[1] * 1e6, geometry.origin_m[2] * 1e6
         return {
-            "file": str(self.file),
+            "file": str(self.scan.file),
             "axes": ["bscan", "axial", "lateral"],
             "shape": list(geometry.shape),
             "voxels": int(volume.array.size),
             "dtype": str(volume.array.dtype),
             "bytes": int(volume.array.nbytes),
             "spacing_um": [s * 1e6 for s in geometry.spacing_m],
-            "spacing_from": "arguments" if self.spacing_um is not None else "file",
+            "spacing_from": "arguments" if self.scan.spacing_um is not None else "file",
             "extent_mm": {"lateral": x * 1e3, "bscan": y * 1e3, "axial": z * 1e3},
             "origin_mm": [o * 1e3 for o in geometry.origin_m],
             "frame": geometry.frame,
             "intensity": {
                 "min": float(volume.array.min()),
-                "p1": float(quantiles[0]),
-                "median": float(quantiles[1]),
-                "p99": float(quantiles[2]),
+                "p1": p1,
+                "median": median,
+                "p99": p99,
                 "max": float(volume.array.max()),
             },
+            "histogram": {"counts": counts.tolist(), "edges": edges.tolist()},
             "intensity_range": list(volume.intensity_range),
             "intensity_scale": volume.intensity_scale,
+            "surface": {
+                "median_row": found.surface_row,
+                "row_range": list(found.surface_row_range),
+                "median_depth_um": top_um + found.surface_row * axial_um,
+                "depth_range_um": [top_um + row * axial_um for row in found.surface_row_range],
+            },
+            "snr_db": found.snr_db,
             "stamp_ns": volume.stamp_ns,
         }
 
@@ -75,18 +87,18 @@ class InfoCommand:
 def add_parser(commands: Any) -> None:
     """Add the command to the parser's subcommands."""
     parser = commands.add_parser("info", help="describe a C-scan file", description=__doc__)
-    parser.add_argument("file", type=Path, metavar="FILE", help="C-scan [bscan, axial, lateral] as .nii or .nii.gz")
-    common.add_spacing(parser)
+    parser.add_argument("file", type=Path, metavar="FILE", help=FILE_HELP)
+    add_reading(parser)
     common.add_json(parser)
     parser.set_defaults(read=_read)
 
 
 def _read(arguments: argparse.Namespace) -> InfoCommand:
-    return InfoCommand(arguments.file, common.spacing(arguments), arguments.json)
+    return InfoCommand(reading(arguments.file, arguments), arguments.json)
 
 
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
-    extent, intensity = values["extent_mm"], values["intensity"]
+    extent, intensity, surface = values["extent_mm"], values["intensity"], values["surface"]
     bscans, axials, laterals = values["shape"]
     return [
         ("shape", f"{bscans} B-scans x {axials} axial x {laterals} lateral"),
@@ -96,5 +108,26 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
         ("intensity", ", ".join(f"{name} {value:g}" for name, value in intensity.items())),
         ("range taken as 0 to 1", f"{values['intensity_range'][0]:g} to {values['intensity_range'][1]:g}"),
         ("scale", values["intensity_scale"]),
+        ("surface", _surface_text(surface)),
+        ("SNR, estimated", f"{values['snr_db']:.1f} dB" if values["snr_db"] == values["snr_db"] else "not to be told"),
         ("frame", values["frame"]),
+        ("histogram", _bars(values["histogram"])),
     ]
+
+
+def _surface_text(surface: dict[str, Any]) -> str:
+    rows, depths = surface["row_range"], surface["depth_range_um"]
+    return (
+        f"rows {rows[0]:.1f} to {rows[1]:.1f} (5% to 95%), median {surface['median_row']:.1f}; "
+        f"depth {depths[0]:.0f} to {depths[1]:.0f} um"
+    )
+
+
+def _bars(histogram: dict[str, Any]) -> str:
+    counts, edges = histogram["counts"], histogram["edges"]
+    most, total = max(counts), sum(counts)
+    lines = [
+        f"{edge:>10.4g} {'#' * round(_BAR_LENGTH * count / most):<{_BAR_LENGTH}} {100 * count / total:5.1f}%"
+        for edge, count in zip(edges[:-1], counts, strict=True)
+    ]
+    return "\n".join(lines)

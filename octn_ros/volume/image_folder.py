@@ -18,7 +18,8 @@ from octn_ros.volume.tiff import checked_pages
 
 _TIFF_SUFFIXES = (".tif", ".tiff")
 _SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".pgm", *_TIFF_SUFFIXES)
-_GREY_MODES = ("L", "I", "F", "I;16", "I;16B", "I;16L")
+# Types of Pillow's modes of grey images; "I" is what it makes of 16 bits in .pgm, though it has room for 32.
+_GREY_TYPES = {"L": np.uint8, "I": np.uint16, "I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16}
 _COLOUR_MODES = ("RGB", "RGBA", "P")
 _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)$")  # the last number in a name counts
 
@@ -106,12 +107,10 @@ def _probe_tiff(file: Path) -> tuple[tuple[int, int], np.dtype[Any]]:
 
 def _probe_other(file: Path) -> tuple[tuple[int, int], np.dtype[Any]]:
     with Image.open(file) as image:
-        if image.mode in _COLOUR_MODES:
-            return (image.height, image.width), np.dtype(np.uint8)
-        if image.mode not in _GREY_MODES:
-            raise VolumeError(f"expected a grey image, got the mode {image.mode}")
-        # An image of one voxel tells the type of a mode.
-        return (image.height, image.width), np.asarray(Image.new(image.mode, (1, 1))).dtype
+        dtype = np.uint8 if image.mode in _COLOUR_MODES else _GREY_TYPES.get(image.mode)
+        if dtype is None:
+            raise VolumeError(f"expected a grey image of 8 or 16 bits, got the mode {image.mode}")
+        return (image.height, image.width), np.dtype(dtype)
 
 
 def _pixels(file: Path, request: ReadRequest) -> NDArray[Any]:
@@ -120,7 +119,7 @@ def _pixels(file: Path, request: ReadRequest) -> NDArray[Any]:
             return _single_page(tif, file, request).asarray(maxworkers=1)
     with Image.open(file) as image:
         if image.mode not in _COLOUR_MODES:
-            return np.asarray(image)
+            return np.asarray(image).astype(_GREY_TYPES[image.mode], copy=False)
         colours = np.asarray(image.convert("RGB"))
     if (colours[..., 1:] != colours[..., :1]).any():
         raise VolumeError("expected a grey image, its red, green and blue differ")

@@ -101,7 +101,8 @@ def _read_header(file: BinaryIO) -> tuple[Any, ScanHeader | None]:
         raise VolumeError("the file is damaged or truncated: it ends within the NIfTI header")
     kind = nibabel.Nifti1Header if size == 348 else nibabel.Nifti2Header
     try:
-        header = kind(block[:size])
+        # Unchecked, for nibabel's check would turn a spacing of zero into one.
+        header = kind(block[:size], check=False)
     except (nibabel.spatialimages.HeaderDataError, ValueError, OverflowError) as error:
         raise VolumeError(f"expected a NIfTI file (.nii or .nii.gz), its header is damaged: {error}") from error
     if bytes(header["magic"])[:3] not in (b"n+1", b"n+2"):
@@ -143,7 +144,7 @@ def _skip(file: BinaryIO, count: int) -> None:
 def _scan_header(header: Any, comment: ScanHeader | None) -> ScanHeader:
     stated = comment or ScanHeader()
     metres, exact = _METRES_PER_UNIT.get(header.get_xyzt_units()[0]), stated.spacing_m
-    spacing = tuple(float(z) * metres for z in header.get_zooms()[:3]) if metres is not None else None
+    spacing = tuple(abs(float(z)) * metres for z in header.get_zooms()[:3]) if metres is not None else None
     if exact and spacing and all(abs(a - b) <= _SPACING_ROUNDING * abs(b) for a, b in zip(exact, spacing, strict=True)):
         spacing = exact
     return dataclasses.replace(stated, spacing_m=spacing)  # type: ignore[arg-type]
