@@ -44,11 +44,10 @@ def plan_picture(field: Field, plan: Plan) -> bytes:
         above.add_collection(lines)
         if plan.given_up_points:
             lost = np.array([(point.x_m, point.y_m) for point in plan.given_up_points]) * 1e3
-            above.plot(*lost.T, ".", color=RED, markersize=2, label=f"{len(lost)} given up")
-            above.legend(loc="upper right", frameon=True, facecolor="white", edgecolor="none", framealpha=0.85)
+            above.plot(*lost.T, ".", color=RED, markersize=2)
         above.set_xlabel("lateral x (mm)")
         above.set_ylabel("bscan y (mm)")
-        above.set_title(f"Path on the en-face view, {len(place)} waypoints")
+        above.set_title(f"{int(plan.laser_on.sum())} waypoints, {plan.given_up} given up (red)")
         canvas.colour_bar(figure, lines, above, "depth z (mm)")
         residual = 100.0 * plan.residual[plan.laser_on] / plan.tau
         reach = max(float(np.abs(residual).max()), 1e-3)
