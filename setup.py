@@ -54,6 +54,7 @@ setup(
         "h5py>=3.10",  # MATLAB 7.3 and HDF5 files
         "matplotlib>=3.6",  # pictures of the report
         "nibabel>=5.0",  # NIfTI
+        "numba>=0.60",  # compiled fits and queries on the CPU, without a compiler on the user's machine
         "numpy>=1.26",
         "pillow>=10.0",  # folders of numbered images
         "pydicom>=3.0",  # DICOM ophthalmic tomography

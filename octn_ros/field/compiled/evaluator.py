@@ -1,0 +1,47 @@
+"""A neural model's answers from compiled kernels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from octn_ros.field.compiled.lattice import evaluate_lattice
+from octn_ros.field.compiled.model import encoding_of, perceptron_of
+from octn_ros.field.compiled.points import evaluate_points
+
+if TYPE_CHECKING:
+    from octn_ros.field.neural import NeuralModel
+
+
+class CompiledEvaluator:
+    """Evaluates a model whose parameters stay as they are; equal to the model itself up to rounding.
+
+    CPU and float32 only; thread-safe; keeps no graph.
+
+    Args:
+        model: the fitted model; its table is shared, its network copied.
+    """
+
+    def __init__(self, model: NeuralModel) -> None:
+        self._encoding, self._perceptron = encoding_of(model), perceptron_of(model)
+
+    def evaluate(self, points: Tensor) -> Tensor:
+        """Return intensities [N] at canonical points [N, 3]."""
+        values, _ = evaluate_points(
+            self._encoding, self._perceptron, points.detach().contiguous().numpy(), gradients=False
+        )
+        return torch.from_numpy(values)
+
+    def value_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return intensities [N] and their exact gradients [N, 3] at canonical points [N, 3]."""
+        values, gradients = evaluate_points(
+            self._encoding, self._perceptron, points.detach().contiguous().numpy(), gradients=True
+        )
+        return torch.from_numpy(values), torch.from_numpy(gradients)
+
+    def lattice(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> Tensor:
+        """Return intensities [bscan, axial, lateral] on the lattice of three canonical coordinate vectors."""
+        axes = (axis.detach().contiguous().numpy() for axis in (lateral, axial, bscan))
+        return torch.from_numpy(evaluate_lattice(self._encoding, self._perceptron, *axes))

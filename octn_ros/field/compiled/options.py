@@ -1,0 +1,14 @@
+"""How the kernels are compiled, and the sizes they share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+# Lattice points are walked in bricks of this many along each axis, points and brick layers in tiles of TILE.
+BRICK = 8
+TILE = BRICK * BRICK
+
+# Compiled code is cached beside the package, or in the user's cache where that cannot be written. Reassociation of
+# sums (fastmath) is what lets loops use vector registers; results differ from the reference by rounding only. The
+# kernels release the interpreter lock, so that plain threads run them side by side.
+KERNEL: dict[str, Any] = {"nogil": True, "fastmath": True, "cache": True, "error_model": "numpy"}

@@ -1,0 +1,166 @@
+"""Values and gradients of a neural field at scattered points, tile by tile."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from octn_ros.field.compiled.layers import gate, multiply, run_hidden, run_output
+from octn_ros.field.compiled.model import Encoding, Perceptron, workers
+from octn_ros.field.compiled.options import KERNEL, TILE
+
+# Tiles that a thread takes at a time: enough to be worth the handing over, few enough to share the work evenly.
+_TILES = 64
+
+
+def evaluate_points(
+    encoding: Encoding, perceptron: Perceptron, points: NDArray[np.float32], *, gradients: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return intensities [N] and, if asked for, their exact gradients [N, 3] at canonical points [N, 3].
+
+    Order of points and gradients: (lateral, axial, bscan). At a cell face the gradient is that of the cell on the far
+    side; outside the cube it is zero along the clamped axes. Without `gradients` the second array is empty.
+    Thread-safe; the answer does not depend on the number of threads.
+    """
+    count = len(points)
+    values = np.empty(count, np.float32)
+    gradient = np.empty((count if gradients else 0, 3), np.float32)
+    back = perceptron.transposed
+    chunk = TILE * _TILES
+
+    def part(start: int) -> None:
+        _part(
+            points, start, min(start + chunk, count), *encoding.kernel_arguments, *perceptron.kernel_arguments, *back,
+            gradients, values, gradient,
+        )  # fmt: skip
+
+    list(workers().map(part, range(0, count, chunk)))
+    return values, gradient
+
+
+@njit(**KERNEL)
+def _part(
+    points: NDArray[np.float32],
+    start: int,
+    stop: int,
+    table: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    factors: NDArray[np.int64],
+    first_row: NDArray[np.int64],
+    mask: NDArray[np.int64],
+    smooth: bool,
+    first: NDArray[np.float32],
+    first_bias: NDArray[np.float32],
+    more: NDArray[np.float32],
+    more_bias: NDArray[np.float32],
+    output: NDArray[np.float32],
+    output_bias: np.float32,
+    first_back: NDArray[np.float32],
+    more_back: NDArray[np.float32],
+    gradients: bool,
+    values: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+) -> None:
+    levels, features = scale.shape[0], table.shape[1]
+    inputs, neurons, hidden = first.shape[1], first.shape[0], more.shape[0] + 1
+    encoded = np.zeros((inputs, TILE), np.float32)
+    # By unit coordinates along (bscan, axial, lateral).
+    slopes = np.zeros((3, inputs if gradients else 0, TILE), np.float32)
+    activations = np.empty((hidden, neurons, TILE), np.float32)
+    passed = np.empty((2, neurons, TILE), np.float32)
+    by_feature = np.empty((inputs, TILE), np.float32)
+    answer = np.empty(TILE, np.float32)
+    for tile in range(start, stop, TILE):
+        size = min(TILE, stop - tile)
+        for level in range(levels):
+            for k in range(size):
+                _encode_point(
+                    points[tile + k], table, scale[level], factors[level], first_row[level], mask[level], smooth,
+                    level * features, k, encoded, slopes,
+                )  # fmt: skip
+        run_hidden(first, first_bias, more, more_bias, encoded, activations)
+        run_output(output, output_bias, activations[hidden - 1], answer)
+        values[tile : tile + size] = answer[:size]
+        if not gradients:
+            continue
+        for j in range(neurons):
+            for k in range(TILE):
+                passed[0, j, k] = output[j]
+        gate(activations[hidden - 1], passed[0])
+        now = 0
+        for layer in range(hidden - 2, -1, -1):
+            multiply(more_back[layer], passed[now], passed[1 - now])
+            gate(activations[layer], passed[1 - now])
+            now = 1 - now
+        multiply(first_back, passed[now], by_feature)
+        for axis in range(3):
+            for k in range(TILE):
+                answer[k] = 0
+            for i in range(inputs):
+                for k in range(TILE):
+                    answer[k] += by_feature[i, k] * slopes[axis, i, k]
+            for k in range(size):
+                # Half, since a canonical axis is two units long; and none where the point was clamped.
+                inside = np.float32(0.5) if abs(points[tile + k, 2 - axis]) <= np.float32(1.0) else np.float32(0.0)
+                gradient[tile + k, 2 - axis] = inside * answer[k]
+
+
+@njit(**KERNEL)
+def _encode_point(
+    point: NDArray[np.float32],
+    table: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    factors: NDArray[np.int64],
+    first_row: int,
+    mask: int,
+    smooth: bool,
+    offset: int,
+    k: int,
+    encoded: NDArray[np.float32],
+    slopes: NDArray[np.float32],
+) -> None:
+    """Write column `k` of the features, and of their slopes unless these are empty, for one level of one point."""
+    cell_z, share_z, slope_z = _cell(point[2], scale[0], smooth)
+    cell_y, share_y, slope_y = _cell(point[1], scale[1], smooth)
+    cell_x, share_x, slope_x = _cell(point[0], scale[2], smooth)
+    features = table.shape[1]
+    wanted = slopes.shape[1] > 0
+    for f in range(features):
+        encoded[offset + f, k] = 0
+        if wanted:
+            for axis in range(3):
+                slopes[axis, offset + f, k] = 0
+    for dz in range(2):
+        a = (cell_z + dz) * factors[0]
+        weight_z, change_z = (share_z, slope_z) if dz == 1 else (np.float32(1.0) - share_z, -slope_z)
+        for dy in range(2):
+            b = (cell_y + dy) * factors[1]
+            weight_y, change_y = (share_y, slope_y) if dy == 1 else (np.float32(1.0) - share_y, -slope_y)
+            for dx in range(2):
+                c = (cell_x + dx) * factors[2]
+                weight_x, change_x = (share_x, slope_x) if dx == 1 else (np.float32(1.0) - share_x, -slope_x)
+                row = first_row + (a + b + c if mask < 0 else (a ^ b ^ c) & mask)
+                for f in range(features):
+                    feature = table[row, f]
+                    encoded[offset + f, k] += weight_z * weight_y * weight_x * feature
+                    if wanted:
+                        slopes[0, offset + f, k] += change_z * weight_y * weight_x * feature
+                        slopes[1, offset + f, k] += weight_z * change_y * weight_x * feature
+                        slopes[2, offset + f, k] += weight_z * weight_y * change_x * feature
+
+
+@njit(**KERNEL)
+def _cell(coordinate: np.float32, scale: np.float32, smooth: bool) -> tuple[int, np.float32, np.float32]:
+    """Return the cell of a canonical coordinate, the share of its far vertex, and that share's slope per unit."""
+    unit = (min(max(coordinate, np.float32(-1.0)), np.float32(1.0)) + np.float32(1.0)) * np.float32(0.5)
+    position = unit * scale + np.float32(0.5)
+    cell = np.int64(math.floor(position))
+    share = position - np.float32(cell)
+    slope = scale
+    if smooth:
+        slope = scale * np.float32(6.0) * share * (np.float32(1.0) - share)
+        share = share * share * (np.float32(3.0) - np.float32(2.0) * share)
+    return cell, share, slope

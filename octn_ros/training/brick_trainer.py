@@ -1,0 +1,196 @@
+"""Steps of Algorithm 1 on bricks of neighbouring samples, compiled for the CPU."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octn_ros.field import NeuralModel
+from octn_ros.field.compiled.model import encoding_of, linear_layers, perceptron_of, workers
+from octn_ros.field.compiled.options import BRICK
+from octn_ros.field.compiled.walk import MOST_VERTICES
+from octn_ros.training.brick_kernel import adam_rows, look_up, pass_lane, sum_lane
+from octn_ros.volume import Volume, VolumeGeometry
+
+BRICK_SAMPLES = BRICK**3
+# Independent of the number of threads, see brick_kernel.
+_LANES = 8
+_BETAS, _EPSILON = (0.9, 0.99), 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class Bricks:
+    """Samples in bricks of BRICK^3 lattice points one voxel apart; axes are (bscan, axial, lateral).
+
+    Attributes:
+        coordinates: canonical [bricks, 3, BRICK].
+        weights: 1 inside the volume, 0 outside [bricks, 3, BRICK]; a sample's weight is the product.
+        cell: voxel at or before each sample [bricks, 3, BRICK].
+        share: how far it lies beyond that voxel, in voxels [bricks, 3, BRICK].
+    """
+
+    coordinates: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    cell: NDArray[np.int64]
+    share: NDArray[np.float32]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples inside the volume."""
+        return int(self.weights.sum(axis=2, dtype=np.float64).prod(axis=1).sum())
+
+
+class BrickSampler:
+    """Draws bricks such that every voxel, and every place between voxels, is equally likely to be sampled.
+
+    A brick's first sample is drawn uniformly from all places at which any of its samples is inside the volume; the
+    others count for nothing. The samples of a brick are neighbours, so a batch of bricks holds less news than a batch
+    of lone voxels. Not thread-safe: it owns a random generator.
+
+    Args:
+        geometry: of the volume.
+        seed: start of the random sequence.
+    """
+
+    def __init__(self, geometry: VolumeGeometry, seed: int) -> None:
+        self._shape = np.array(geometry.shape)
+        self._generator = np.random.default_rng(seed)
+
+    def draw(self, count: int, interpolated: int) -> Bricks:
+        """Draw `count` bricks; the first `interpolated` of them are shifted by a random fraction of a voxel."""
+        first = self._generator.integers(1 - BRICK, self._shape, (count, 3)).astype(np.float64)
+        first[:interpolated] -= self._generator.random((interpolated, 3))
+        place = first[:, :, None] + np.arange(BRICK)
+        last = (self._shape - 1)[None, :, None]
+        held = place.clip(0, last)
+        cell = np.floor(held)
+        return Bricks(
+            coordinates=(held * (2.0 / last) - 1.0).astype(np.float32),
+            weights=(held == place).astype(np.float32),
+            cell=cell.astype(np.int64),
+            share=(held - cell).astype(np.float32),
+        )
+
+
+class BrickTrainer:
+    """Fits a model in place, with the same loss and optimizer as the plain path but for two things: samples come in
+    bricks, and Adam moves only the table rows that a step touches.
+
+    The same seed gives the same model for any number of threads. CPU only, float32 only; not thread-safe itself, but
+    several trainers may run at once.
+
+    Args:
+        model: the model that is trained.
+        volume: the C-scan; kept in its own type.
+        samples: samples of a step, of which whole bricks are made, one at least.
+        seed: of the samples.
+    """
+
+    def __init__(self, model: NeuralModel, volume: Volume, samples: int, seed: int) -> None:
+        self._model, self._voxels = model, np.ascontiguousarray(volume.array)
+        low, high = volume.intensity_range
+        self._low, self._gain = np.float32(low), np.float32(1.0 / (high - low))
+        self._sampler = BrickSampler(volume.geometry, seed)
+        self._encoding = encoding_of(model)
+        self._bricks = max(1, round(samples / BRICK_SAMPLES))
+        table = self._encoding.table
+        self._capacity = _touched_at_most(self._encoding.scale, volume.geometry.shape)
+        places = self._capacity * self._bricks
+        self._touched_rows = np.empty(places, np.int64)
+        self._row_gradients = np.empty((places, table.shape[1]), np.float32)
+        self._touched = np.zeros(self._bricks, np.int64)
+        self._distinct = np.empty((_LANES, places), np.int64)
+        self._gradient = np.empty_like(table)
+        self._moments = np.zeros((len(table), 2 * table.shape[1]), np.float32)
+        self._stamp = np.zeros(len(table), np.int32)
+        self._parameters = [p.detach().numpy() for layer in linear_layers(model) for p in (layer.weight, layer.bias)]
+        self._parameter_moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self._parameters]
+        self._step = 0
+
+    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> tuple[float, int] | None:
+        """Do one step; return its mean squared error and number of samples, None if cancelled with nothing changed.
+
+        Args:
+            rate: Adam's learning rate.
+            alpha: share of interpolated samples.
+            cancelled: asked once, after the pass.
+        """
+        bricks = self._sampler.draw(self._bricks, math.floor(round(alpha * self._bricks, 6)))
+        samples = bricks.samples
+        gradients, squared_error = self._pass(bricks)
+        if cancelled() or samples == 0:
+            return None if samples else (0.0, 0)
+        self._step += 1
+        factor = 2.0 / samples
+        corrections = tuple(1.0 / (1.0 - beta**self._step) for beta in _BETAS)
+        self._update_table(np.float32(rate), np.float32(factor), corrections)
+        self._update_network(rate, [factor * g for g in gradients], corrections)
+        return squared_error / samples, samples
+
+    def _pass(self, bricks: Bricks) -> tuple[list[NDArray[np.float32]], float]:
+        perceptron = perceptron_of(self._model)
+        sums = [np.zeros((_LANES, *np.shape(p)), np.float32) for p in perceptron.kernel_arguments]
+        squared_error = np.zeros(_LANES)
+        targets = np.empty((self._bricks, BRICK_SAMPLES), np.float32)
+        back = perceptron.transposed
+
+        def lane(number: int) -> None:
+            part = slice(number, None, _LANES)
+            mine = np.empty_like(targets[part])
+            look_up(self._voxels, self._low, self._gain, bricks.cell[part].copy(), bricks.share[part].copy(), mine)
+            targets[part] = mine
+            pass_lane(
+                number, _LANES, bricks.coordinates, bricks.weights, targets, *self._encoding.kernel_arguments,
+                *perceptron.kernel_arguments, *back, self._capacity, self._touched_rows, self._row_gradients,
+                self._touched, *sums, squared_error,
+            )  # fmt: skip
+
+        list(workers().map(lane, range(_LANES)))
+        first, first_bias, more, more_bias, output, output_bias = (s.sum(axis=0) for s in sums)
+        padded = [first, first_bias]
+        for weight, bias in zip(more, more_bias, strict=True):
+            padded += [weight, bias]
+        padded += [output[None], np.array([output_bias])]
+        gradients = [
+            g[tuple(slice(size) for size in p.shape)] for g, p in zip(padded, self._parameters, strict=True)
+        ]  # the padding is cut off again
+        return gradients, float(squared_error.sum())
+
+    def _update_table(self, rate: np.float32, factor: np.float32, corrections: tuple[float, ...]) -> None:
+        beta1, beta2 = (np.float32(beta) for beta in _BETAS)
+        correction1, correction2 = (np.float32(c) for c in corrections)
+
+        def lane(number: int) -> None:
+            count = sum_lane(
+                number, _LANES, self._capacity, self._touched_rows, self._row_gradients, self._touched, self._stamp,
+                self._step, self._gradient, self._distinct[number],
+            )  # fmt: skip
+            adam_rows(
+                self._distinct[number, :count], self._encoding.table, self._gradient, self._moments, factor, rate,
+                beta1, beta2, correction1, correction2, np.float32(_EPSILON),
+            )  # fmt: skip
+
+        list(workers().map(lane, range(_LANES)))
+
+    def _update_network(
+        self, rate: float, gradients: list[NDArray[np.float32]], corrections: tuple[float, ...]
+    ) -> None:
+        for parameter, (mean, square), gradient in zip(
+            self._parameters, self._parameter_moments, gradients, strict=True
+        ):
+            mean += (1.0 - _BETAS[0]) * (gradient - mean)
+            square += (1.0 - _BETAS[1]) * (gradient**2 - square)
+            parameter -= rate * corrections[0] * mean / (np.sqrt(corrections[1] * square) + _EPSILON)
+
+
+def _touched_at_most(scale: NDArray[np.float32], shape: tuple[int, int, int]) -> int:
+    """Return how many vertices the samples of one brick touch at most, over all levels."""
+    total = 0
+    for level in scale:
+        cells = [(BRICK - 1) * float(s) / (n - 1) for s, n in zip(level, shape, strict=True)]
+        total += math.prod(min(math.ceil(c) + 2, MOST_VERTICES) for c in cells)
+    return total
