@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ def add_regions(parser: argparse.ArgumentParser) -> None:
         nargs=6,
         type=float,
         metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"),
-        help="only inside this box, mm of the OCT frame; inf and -inf leave a side open",
+        help="only inside this box, mm of the OCT frame; inf leaves a side open",
     )
     parser.add_argument(
         "--sphere", nargs=4, type=float, metavar=("X", "Y", "Z", "RADIUS"), help="only inside this ball, mm"
@@ -46,7 +47,9 @@ def region_of(arguments: argparse.Namespace) -> Region | None:
     regions: list[Region] = []
     if arguments.box is not None:
         x0, x1, y0, y1, z0, z1 = (side * 1e-3 for side in arguments.box)
-        regions.append(Box((x0, y0, z0), (x1, y1, z1)))
+        # argparse takes "-inf" for an option, so an open low side is written as "inf" too.
+        low_x, low_y, low_z = (-math.inf if low == math.inf else low for low in (x0, y0, z0))
+        regions.append(Box((low_x, low_y, low_z), (x1, y1, z1)))
     if arguments.sphere is not None:
         x, y, z, radius = (number * 1e-3 for number in arguments.sphere)
         regions.append(Sphere((x, y, z), radius))

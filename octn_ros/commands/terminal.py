@@ -36,7 +36,6 @@ class ProgressBar:
         self._tasks: dict[str, TaskID] = {}
 
     def __enter__(self) -> ProgressBar:
-        self._progress.start()
         return self
 
     def __exit__(
@@ -44,11 +43,13 @@ class ProgressBar:
     ) -> None:
         if error is None:
             self._complete()
-        self._progress.stop()
+        if self._tasks:  # without a bar, its end would be an empty line
+            self._progress.stop()
 
     def show(self, title: str, fraction: float, remark: str = "") -> None:
         """Move the bar of that title to `fraction` of 1; a new title completes the bars before it. Thread-safe."""
         if title not in self._tasks:
+            self._progress.start()
             self._complete()
             self._tasks[title] = self._progress.add_task(title, total=1.0, remark=remark)
         self._progress.update(self._tasks[title], completed=min(max(fraction, 0.0), 1.0), remark=remark)

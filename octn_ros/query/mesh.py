@@ -107,8 +107,7 @@ def iso_surface(
     # (bscan, axial, lateral). To (x, y, z) = (lateral, bscan, axial) is an even permutation: the winding holds.
     found, faces, _, _ = marching_cubes(values, level, gradient_direction="ascent")
     vertices = _to_metres(lattice, found)
-    steps = [float(np.diff(axis).max()) for axis in lattice.axes_m()]
-    vertices, normals = _snap(field, vertices, level, max(steps))
+    vertices, normals = _snap(field, vertices, level, lattice)
     if progress:
         progress(1.0)
     return SurfaceMesh(vertices, np.ascontiguousarray(faces, dtype=np.int32), normals, level, field.description)
@@ -123,10 +122,13 @@ def _to_metres(lattice: Lattice, index: NDArray[np.floating]) -> NDArray[np.floa
 
 
 def _snap(
-    field: Field, vertices_m: NDArray[np.float64], level: float, reach_m: float
+    field: Field, vertices_m: NDArray[np.float64], level: float, lattice: Lattice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Move points [V, 3] along the gradient to the level where that brings them closer, and return normals there."""
     geometry = field.geometry
+    axes = lattice.axes_m()
+    reach_m = max(float(np.diff(axis).max()) for axis in axes) / 2
+    low, high = np.array([axis[0] for axis in axes]), np.array([axis[-1] for axis in axes])
     scale = np.array(geometry.metres_per_canonical)
     moved, normals = vertices_m.copy(), np.zeros_like(vertices_m)
     for start in range(0, len(vertices_m), _CHUNK_POINTS):
@@ -148,7 +150,8 @@ def _snap(
             square = np.einsum("ij,ij->i", metric, metric)
             move = -(off / np.maximum(square, 1e-12))[:, None] * metric
             length = np.linalg.norm(move, axis=1, keepdims=True)
-            at = at + move * np.minimum(1.0, reach_m / 2 / np.maximum(length, 1e-30))
+            # Not beyond the lattice: there the region ends, or the field has no more than its border's values.
+            at = np.clip(at + move * np.minimum(1.0, reach_m / np.maximum(length, 1e-30)), low, high)
         length = np.linalg.norm(slope, axis=1, keepdims=True)
         moved[part] = best
         normals[part] = np.where(length > 0.0, -slope / np.where(length > 0.0, length, 1.0), 0.0)
