@@ -30,7 +30,7 @@ class Appraisal:
         surface_row: median axial index of the strongest smoothed rise of the A-scans.
         surface_row_range: 5th and 95th percentile of these indices.
         snr_db: 20 log10((mean tissue - mean air) / standard deviation of air) of normalised intensities; NaN where
-            there is too little air above the surface, or no difference.
+            there is too little air above the surface, or tissue does not stand out of its noise (below 0 dB).
     """
 
     surface_row: float
@@ -101,6 +101,6 @@ def _surface_rows(bscan: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _snr_db(air: _Moments, tissue: _Moments) -> float:
-    if min(air.count, tissue.count) < _MIN_VOXELS or air.deviation == 0.0 or tissue.mean <= air.mean:
+    if min(air.count, tissue.count) < _MIN_VOXELS or air.deviation == 0.0 or tissue.mean - air.mean <= air.deviation:
         return math.nan
     return 20.0 * math.log10((tissue.mean - air.mean) / air.deviation)
