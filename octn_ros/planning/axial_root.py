@@ -69,7 +69,8 @@ class AxialLines:
 
     def _spread(self, lines: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return canonical places and the shift in voxels of every point of the discs, [M, P] each."""
-        assert self.disc is not None and self.lean is not None
+        assert self.disc is not None
+        assert self.lean is not None
         lateral = self.lateral[lines][:, None] + self.disc[:, 0]
         bscan = self.bscan[lines][:, None] + self.disc[:, 1]
         # Points beyond the scan are pulled to its border, and their share of the lean with them.

@@ -13,10 +13,11 @@ from scipy import ndimage
 from octn_ros.errors import PlanError
 from octn_ros.field import Field
 from octn_ros.planning.candidate_choice import choose_smooth
+from octn_ros.planning.step_levels import StepLevels, aligned_steps
 from octn_ros.settings import check_settings, setting
 
-# Boxes on either side of a step; a layer has to fill more than two of them to be taken for tissue.
-_BOXES = 5
+# Neighbours are shifted onto each other by their depths, from which better depths follow.
+_ALIGNMENTS = 2
 # A step below this is rounding, not a surface.
 _SMALLEST_STEP = 1e-6
 
@@ -30,7 +31,7 @@ class CoarseSurfaceConfig:
         220e-6, "how far above and below a step its levels are taken", unit="m", low=1e-6, high=5e-3
     )
     lateral_window_m: float = setting(
-        250e-6, "side of the square of neighbouring A-scans whose steps are averaged", unit="m", low=0.0, high=5e-3
+        150e-6, "side of the square of neighbouring A-scans whose steps are averaged", unit="m", low=0.0, high=5e-3
     )
     candidates: int = setting(4, "steps of each A-scan among which its neighbours decide", low=1, high=32)
     smoothness: float = setting(
@@ -136,7 +137,7 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     pitch_m = (high - low) * spacing / np.array([columns - 1, rows - 1])
     window = _odd(config.lateral_window_m / pitch_m[1], rows), _odd(config.lateral_window_m / pitch_m[0], columns)
 
-    levels = _Levels.of(ascans, config.window_m / geometry.spacing_m[1], window)
+    levels = StepLevels.of(ascans, config.window_m / geometry.spacing_m[1], window)
     place, strength = levels.candidates(config.candidates)
     strongest = np.take_along_axis(place, strength.argmax(axis=-1)[..., None], axis=-1)
     usual_air = np.median(np.take_along_axis(levels.above, strongest, axis=-1))
@@ -154,10 +155,15 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     depth = np.take_along_axis(place, chosen[..., None], axis=-1)[..., 0]
     own = np.take_along_axis(strength, chosen[..., None], axis=-1)[..., 0]
     rivals = np.where(place < depth[..., None], strength, 0.0).max(axis=-1)
-    above, below = levels.at(depth)
+    fine = depth.astype(np.float64)
+    for _ in range(_ALIGNMENTS):
+        # An A-scan that lies off its neighbours is looked at where they are; the others keep crests and cliffs sharp.
+        agreed = ndimage.median_filter(fine, 3, mode="nearest")
+        place = np.rint(np.where(np.abs(fine - agreed) > levels.box, agreed, fine)).astype(np.intp)
+        fine, above, below = aligned_steps(ascans, place, levels.box, window)
     typical_step = float(np.median(below - above))
     return CoarseSurface(
-        depth=levels.middle(depth, above + 0.5 * np.minimum(below - above, typical_step)),
+        depth=fine,
         step=(below - above).astype(np.float32),
         clearness=np.clip(1.0 - rivals / np.maximum(own, _SMALLEST_STEP), 0.0, 1.0).astype(np.float32),
         air=above,
@@ -166,80 +172,6 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
         bscan_m=geometry.origin_m[1] + row * geometry.spacing_m[0],
         typical_step=typical_step,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Levels:
-    """Levels around every place between two voxels of A-scans, all [bscan, lateral, axial + 1].
-
-    Place k lies before voxel k, at the axial index k - 0.5.
-
-    Attributes:
-        above: level of the air above the place.
-        below: level of the tissue below it.
-        strength: how much of a step lies there, a level: large only where the intensity rises and stays.
-        near: mean of one box centred on each voxel [bscan, lateral, axial].
-        box: axial voxels of one box.
-    """
-
-    above: NDArray[np.float32]
-    below: NDArray[np.float32]
-    strength: NDArray[np.float32]
-    near: NDArray[np.float32]
-    box: int
-
-    @classmethod
-    def of(cls, ascans: NDArray[np.float32], window: float, lateral: tuple[int, int]) -> _Levels:
-        """Take the levels of A-scans [bscan, lateral, axial], averaged over `lateral` of them, `window` voxels wide."""
-        box, count = max(1, round(window / _BOXES)), ascans.shape[-1]
-        pad = _BOXES * box
-        smooth = ndimage.uniform_filter(ascans, size=(*lateral, 1), mode="nearest") if max(lateral) > 1 else ascans
-        # Beyond its ends an A-scan goes on at the level of its last box: air above, and tissue below.
-        top = np.repeat(smooth[..., :box].mean(axis=-1, keepdims=True), pad, axis=-1)
-        bottom = np.repeat(smooth[..., -box:].mean(axis=-1, keepdims=True), pad, axis=-1)
-        padded = np.concatenate([top, smooth, bottom], axis=-1)
-        total = np.cumsum(padded, axis=-1, dtype=np.float64)
-        total = np.concatenate([np.zeros_like(total[..., :1]), total], axis=-1)
-        mean = ((total[..., box:] - total[..., :-box]) / box).astype(np.float32)
-        boxes = [mean[..., pad + n * box : pad + n * box + count + 1] for n in range(-_BOXES, _BOXES)]
-        above, below = _ranked(boxes[:_BOXES], _BOXES // 2), _ranked(boxes[_BOXES:], 1)
-        step, rise = np.maximum(below - above, 0.0), np.maximum(boxes[_BOXES] - boxes[_BOXES - 1], 0.0)
-        near = mean[..., pad - box // 2 : pad - box // 2 + count]
-        return cls(above, below, np.sqrt(step * rise), near, box)
-
-    def candidates(self, count: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-        """Return the `count` strongest separate places of each A-scan and their strengths [bscan, lateral, count]."""
-        summit = ndimage.maximum_filter1d(self.strength, 4 * self.box + 1, axis=-1, mode="nearest") == self.strength
-        peaks = np.where(summit, self.strength, 0.0)
-        place = np.argpartition(peaks, -count, axis=-1)[..., -count:]
-        return place, np.take_along_axis(peaks, place, axis=-1)
-
-    def at(self, place: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the levels above and below the places [bscan, lateral]."""
-        where = place[..., None]
-        return np.take_along_axis(self.above, where, -1)[..., 0], np.take_along_axis(self.below, where, -1)[..., 0]
-
-    def middle(self, place: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the fractional voxel index [bscan, lateral] where the level is passed upwards, nearest to the places.
-
-        Looked for within two boxes; where there is none, the place itself.
-        """
-        reach = 2 * self.box
-        index = np.clip(place[..., None] + np.arange(-reach, reach), 0, self.near.shape[-1] - 1)
-        excess = np.take_along_axis(self.near, index, axis=-1) - level[..., None]
-        before, after = excess[..., :-1], excess[..., 1:]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = index[..., :-1] + before / (before - after)
-        # With boxes of an even number of voxels the middle of a box lies half a voxel before its index.
-        crossing -= 0.0 if self.box % 2 else 0.5
-        distance = np.where((before < 0) & (after >= 0), np.abs(crossing - (place[..., None] - 0.5)), np.inf)
-        nearest = distance.argmin(axis=-1)[..., None]
-        found = np.isfinite(np.take_along_axis(distance, nearest, axis=-1)[..., 0])
-        return np.where(found, np.take_along_axis(crossing, nearest, axis=-1)[..., 0], place - 0.5)
-
-
-def _ranked(boxes: list[NDArray[np.float32]], rank: int) -> NDArray[np.float32]:
-    return np.partition(np.stack(boxes, axis=-1), rank, axis=-1)[..., rank]
 
 
 def _lattice_size(side_m: NDArray[np.float64], voxels: NDArray[np.int_], most: int) -> tuple[int, int]:

@@ -15,23 +15,30 @@ _HALVES = 8
 
 
 def deviation_from_neighbours(
-    points_m: NDArray[np.float64], depth_m: NDArray[np.float64], count: int, floor_m: float, limit_m: float
+    points_m: NDArray[np.float64],
+    depth_m: NDArray[np.float64],
+    shape_m: NDArray[np.float64],
+    count: int,
+    floor_m: float,
+    limit_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distance of depths from a plane through their neighbours, and the scatter of the neighbours about it.
 
     The plane is fitted by iteratively reweighted least squares (Tukey's biweight) to the nearest `count` points, the
-    point itself left out. Where the deviation exceeds `limit_m`, the neighbours on one side are asked alone, so that a
-    point beside a cliff is held against its own side.
+    point itself left out. Where that does not fit, the shape of a rougher surface is laid under it, so that a point on
+    a crest is no outlier, and the neighbours on one side are asked alone, so that one beside a cliff is held against
+    its own side.
 
     Args:
         points_m: lateral places (x, y) [N, 2].
         depth_m: depths [N]; NaN where there is none, which is then not asked and has no answer.
+        shape_m: depths of the rougher surface [N].
         count: neighbours of each point.
         floor_m: scatter below which no neighbour is doubted.
-        limit_m: deviation beyond which one side is asked alone.
+        limit_m: largest deviation with which another surface than the plane is believed.
 
     Returns:
-        Deviation [N], signed, and scatter [N] as a standard deviation; infinite where there are too few neighbours.
+        Deviation [N], signed, and scatter [N] as a standard deviation; infinite where the depth is not known.
     """
     deviation, scatter = np.full(len(depth_m), np.inf), np.full(len(depth_m), np.inf)
     known = np.flatnonzero(np.isfinite(depth_m))
@@ -39,31 +46,39 @@ def deviation_from_neighbours(
     if count < 3:
         deviation[known], scatter[known] = 0.0, 0.0
         return deviation, scatter
-    places, depths = points_m[known], depth_m[known]
-    _, near = cKDTree(places).query(places, k=count + 1)
-    near = near[:, 1:]
+    places = points_m[known]
+    near = cKDTree(places).query(places, k=count + 1)[1][:, 1:]
     away = places[near] - places[:, None]
-    difference = depths[near] - depths[:, None]
-    found, spread = _plane_at_centre(away, difference, np.ones(difference.shape), floor_m)
-    doubted = np.flatnonzero(np.abs(found) > limit_m)
-    for half in range(_HALVES if len(doubted) else 0):
-        angle = 2 * np.pi * half / _HALVES
-        side = away[doubted] @ np.array([np.cos(angle), np.sin(angle)]) >= -1e-9
-        one, its_spread = _plane_at_centre(away[doubted], difference[doubted], side.astype(float), floor_m)
-        better = (np.abs(one) < np.abs(found[doubted])) & (its_spread < limit_m) & (side.sum(axis=1) >= 4)
-        found[doubted[better]], spread[doubted[better]] = one[better], its_spread[better]
+    rise, other_rise = (values[near] - values[:, None] for values in (depth_m[known], (depth_m - shape_m)[known]))
+    found, spread = _plane_at_centre(away, rise, np.ones(rise.shape), floor_m)
+    doubted = np.flatnonzero((np.abs(found) > np.clip(3.0 * spread, 0.25 * limit_m, limit_m)) | (spread > limit_m / 2))
+    for side in [None, *range(_HALVES)] if len(doubted) else []:
+        ask, differences, asked = doubted, other_rise[doubted], np.ones((len(doubted), count))
+        if side is not None:
+            angle = 2 * np.pi * side / _HALVES
+            there = away[doubted] @ np.array([np.cos(angle), np.sin(angle)]) >= -1e-9
+            enough = there.sum(axis=1) >= 4
+            ask, differences, asked = doubted[enough], rise[doubted[enough]], there[enough].astype(float)
+        one, its_spread = _plane_at_centre(away[ask], differences, asked, floor_m)
+        better = (its_spread < spread[ask]) & (np.abs(one) <= limit_m)
+        found[ask[better]], spread[ask[better]] = one[better], its_spread[better]
     deviation[known], scatter[known] = -found, spread
     return deviation, scatter
 
 
 def _plane_at_centre(
-    away: NDArray[np.float64], difference: NDArray[np.float64], ask: NDArray[np.float64], floor: float
+    away: NDArray[np.float64],
+    difference: NDArray[np.float64],
+    ask: NDArray[np.float64],
+    floor: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit planes to neighbours `away` [N, K, 2] with relative depths [N, K]; height at the centre and scatter [N]."""
     scale = np.sqrt(np.mean(away**2, axis=(1, 2), keepdims=True)) + 1e-12
     basis = np.concatenate([np.ones((*away.shape[:2], 1)), away / scale], axis=-1)
     weight = ask.copy()
-    ridge = 1e-6 * np.diag([0.0, 1.0, 1.0]) + 1e-12 * np.eye(3)
+    # Points on one line leave the slope across it open; zero then.
+    ridge = 1e-6 * np.eye(basis.shape[-1])
+    ridge[0, 0] = 1e-12
     asked = np.where(ask > 0, 1.0, np.nan)
     for _ in range(_ITERATIONS):
         weighted = basis * weight[..., None]

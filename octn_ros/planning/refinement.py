@@ -68,21 +68,21 @@ def turn_mask(
 
 
 def gradient_descent(
-    objective: SmoothObjective, start: Tensor, radius: float, steps: int, learning_rate: float
+    objective: SmoothObjective, start: Tensor, low: Tensor, high: Tensor, steps: int, learning_rate: float
 ) -> Tensor:
     """Minimise by plain gradient descent over all points at once, as the paper does (its "SGD").
 
-    Each step is clamped to within `radius` of the start. Exact gradients.
+    Exact gradients.
 
     Args:
         objective: what is minimised.
         start: coarse depths [N] in axial voxels.
-        radius: N_voxels.
+        low: shallowest depths that any step may reach [N].
+        high: deepest depths [N].
         steps: number of steps.
         learning_rate: step length per unit of gradient by depth in axial voxels.
     """
     depth = start.clone()
-    low, high = start - radius, start + radius
     mask = torch.from_numpy(objective.mask).to(start)
     for _ in range(steps):
         residual, slope = objective.residual_and_slope(depth)
@@ -96,7 +96,7 @@ def gradient_descent(
 
 
 def least_squares(
-    objective: SmoothObjective, start: Tensor, centre: Tensor, radius: float, iterations: int, tolerance: float
+    objective: SmoothObjective, start: Tensor, low: Tensor, high: Tensor, iterations: int, tolerance: float
 ) -> Tensor:
     """Minimise the same objective as the sparse non-linear least squares that it is (Levenberg-Marquardt).
 
@@ -106,12 +106,11 @@ def least_squares(
     Args:
         objective: what is minimised.
         start: first depths [N] in axial voxels, roots of the level set for instance.
-        centre: coarse depths [N] that the solution keeps within `radius` of.
-        radius: N_voxels.
+        low: shallowest depths allowed [N].
+        high: deepest depths allowed [N].
         iterations: largest number of steps.
         tolerance: longest movement of any point in voxels at which it is done.
     """
-    low, high = centre - radius, centre + radius
     depth = torch.minimum(torch.maximum(start, low), high)
     bands = _smoothness_bands(objective.mask, objective.smoothness)
     residual, slope = objective.residual_and_slope(depth)

@@ -1,4 +1,4 @@
-"""Depth of the surface under each raster point: coarse search, refinement on the level set tau, and what to trust."""
+"""Depth of the surface under each raster point: coarse search, then refinement on the level set tau."""
 
 from __future__ import annotations
 
@@ -17,48 +17,15 @@ from octn_ros.field import Field
 from octn_ros.planning.axial_root import AxialLines, aperture_disc, bracket_rises, refine_roots
 from octn_ros.planning.coarse_surface import CoarseSurface, CoarseSurfaceConfig, coarse_surface
 from octn_ros.planning.give_up import GiveUp
-from octn_ros.planning.neighbours import deviation_from_neighbours
 from octn_ros.planning.raster import RasterPattern
 from octn_ros.planning.refinement import SmoothObjective, gradient_descent, least_squares, turn_mask
+from octn_ros.planning.trust import TrustConfig, judge
 from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry
 
 _INSIDE_M = 1e-9
-# Scatter of the neighbours, in axial voxels, below which none of them is doubted.
-_FLOOR_VOXELS = 0.2
 # Movement in axial voxels at which the least squares are done: a hundredth of a micrometre or so.
 _STILL_VOXELS = 1e-3
-
-
-@dataclass(frozen=True)
-class TrustConfig:
-    """What a waypoint needs to be published."""
-
-    min_step: float = setting(
-        0.35,
-        "step from air to tissue, as a share of the usual one, below which a waypoint is given up",
-        low=0.0,
-        high=1.0,
-    )
-    min_clearness: float = setting(0.2, "how much weaker another step above it must be, as a share", low=0.0, high=1.0)
-    max_glare: float = setting(
-        0.3, "brightness of the air above it over the usual, as a share of the usual step", low=0.0, high=10.0
-    )
-    neighbours: int = setting(24, "waypoints around it whose plane it is held against", low=4, high=200)
-    outlier_voxels: float = setting(
-        2.0, "largest distance along the beam from that plane, less what the scan's scatter explains", unit="voxels",
-        low=0.1, high=1000.0,
-    )  # fmt: skip
-    max_scatter_voxels: float = setting(
-        1.0, "largest scatter of the neighbours about their plane (standard deviation)", unit="voxels", low=0.01,
-        high=1000.0,
-    )  # fmt: skip
-    coarse_voxels: float = setting(
-        3.0, "largest distance from the coarse surface, less the usual one", unit="voxels", low=0.1, high=1000.0
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -96,7 +63,10 @@ class SurfaceSearchConfig:
     convergence: float = setting(0.01, "|f - tau| / tau at which a waypoint is done", low=1e-6, high=0.5)
     tolerance: float = setting(0.05, "|f - tau| / tau above which a root is given up", low=1e-6, high=0.5)
     smoothness: float = setting(
-        0.3, "lambda of eq. 14, for depths in axial voxels", unit="1/voxel^2", low=0.0, high=1e6
+        0.05, "lambda of eq. 14, for depths in axial voxels", unit="1/voxel^2", low=0.0, high=1e6
+    )
+    leeway_voxels: float = setting(
+        1.5, "how far the smooth path may leave the level set", unit="voxels", low=0.0, high=1000.0
     )
     smoothing_steps: int = setting(20, "largest number of least-squares steps", low=1, high=1000)
     descent_steps: int = setting(1000, "number of gradient descent steps", low=1, high=1_000_000)
@@ -197,7 +167,7 @@ def find_surface(
     root_done = time.perf_counter()
 
     root = roots.depth.cpu().numpy().astype(np.float64)
-    confidence = _judge(geometry, surface, points, root, coarse, reason, config.trust)
+    confidence = judge(geometry, surface, points, root, coarse, reason, config.trust)
     checked = time.perf_counter()
     residual = roots.residual.cpu().numpy().astype(np.float64)
     depth = root
@@ -284,7 +254,7 @@ def _levels(
 
 
 def surface_tau(field: Field, surface: CoarseSurface) -> float:
-    """Return tau as the paper estimates it (eq. 7): the median intensity of the surface points, the coarse ones here."""
+    """Return tau as the paper estimates it (eq. 7): the median intensity of the coarse surface's points."""
     geometry = field.geometry
     rows, columns = surface.depth.shape
     x, y = np.tile(surface.lateral_m, rows), np.repeat(surface.bscan_m, columns)
@@ -292,46 +262,6 @@ def surface_tau(field: Field, surface: CoarseSurface) -> float:
     points = geometry.metric_to_canonical(np.column_stack([x, y, z])).astype(np.float32)
     with torch.no_grad():
         return float(field.evaluate(torch.from_numpy(points).to(field.device)).median())
-
-
-def _judge(
-    geometry: VolumeGeometry,
-    surface: CoarseSurface,
-    points: NDArray[np.float64],
-    root: NDArray[np.float64],
-    coarse: NDArray[np.float64],
-    reason: NDArray[np.int8],
-    trust: TrustConfig,
-) -> NDArray[np.float64]:
-    """Write reasons to give roots up into `reason`, in place, and return the confidence [N]."""
-    usual = surface.typical_step
-    step = surface.sample(surface.step, points) / usual
-    clearness = surface.sample(surface.clearness, points)
-    glare = (surface.sample(surface.air, points) - np.median(surface.air)) / usual
-    voxel = geometry.spacing_m[1]
-    for wrong, why in (
-        (step < trust.min_step, GiveUp.WEAK),
-        (clearness < trust.min_clearness, GiveUp.AMBIGUOUS),
-        (glare > trust.max_glare, GiveUp.GLARE),
-    ):
-        reason[(reason == GiveUp.KEPT) & wrong] = why
-    kept = reason == GiveUp.KEPT
-    if kept.any():
-        away = root - coarse
-        far = np.abs(away - np.median(away[kept])) > trust.coarse_voxels
-        reason[kept & far] = GiveUp.OUTLIER
-    deviation, scatter = deviation_from_neighbours(
-        points,
-        np.where(reason == GiveUp.KEPT, root * voxel, np.nan),
-        trust.neighbours,
-        _FLOOR_VOXELS * voxel,
-        trust.outlier_voxels * voxel,
-    )
-    deviation, scatter = deviation / voxel, scatter / voxel
-    reason[(reason == GiveUp.KEPT) & ~(np.abs(deviation) <= trust.outlier_voxels)] = GiveUp.OUTLIER
-    reason[(reason == GiveUp.KEPT) & ~(scatter <= trust.max_scatter_voxels)] = GiveUp.UNSTEADY
-    confidence = np.clip(step, 0.0, 1.0) * np.clip(clearness, 0.0, 1.0) / (1.0 + scatter**2)
-    return confidence
 
 
 def _smooth(
@@ -353,15 +283,16 @@ def _smooth(
         turn_mask(pattern.segment, first, config.break_voxels),
         config.smoothness,
     )
+    from_roots = torch.from_numpy(first.astype(np.float32)).to(target.device)
+    # The path may leave a root by little, so that what holds for roots holds for it; elsewhere it is clamped as in the
+    # paper.
+    leeway = torch.from_numpy(np.where(kept, config.leeway_voxels, np.inf).astype(np.float32)).to(target.device)
+    low = torch.maximum(start - config.neighbourhood_voxels, from_roots - leeway)
+    high = torch.minimum(start + config.neighbourhood_voxels, from_roots + leeway)
     if config.refinement == "sgd":
-        depth = gradient_descent(
-            objective, start, config.neighbourhood_voxels, config.descent_steps, config.descent_rate
-        )
+        depth = gradient_descent(objective, start, low, high, config.descent_steps, config.descent_rate)
     else:
-        from_roots = torch.from_numpy(first.astype(np.float32)).to(target.device)
-        depth = least_squares(
-            objective, from_roots, start, config.neighbourhood_voxels, config.smoothing_steps, _STILL_VOXELS
-        )
+        depth = least_squares(objective, from_roots, low, high, config.smoothing_steps, _STILL_VOXELS)
     residual, _ = objective.residual_and_slope(depth)
     return depth.cpu().numpy().astype(np.float64), residual.cpu().numpy().astype(np.float64)
 
@@ -369,7 +300,8 @@ def _smooth(
 def _method(config: SurfaceSearchConfig, surface: CoarseSurface) -> str:
     refinement = {
         "newton": "bracketed Newton with exact gradients and bisection",
-        "least_squares": f"sparse least squares of eq. 14, lambda {config.smoothness:g} per voxel^2, from Newton's roots",
+        "least_squares": "sparse least squares of eq. 14 from Newton's roots, "
+        f"lambda {config.smoothness:g} per voxel^2",
         "sgd": f"{config.descent_steps} steps of gradient descent on eq. 14, lambda {config.smoothness:g} per voxel^2",
     }[config.refinement]
     aperture = f", the field averaged within {config.aperture_m * 1e6:.0f} um" if config.aperture_m > 0 else ""

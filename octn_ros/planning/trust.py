@@ -1,0 +1,111 @@
+"""Whether a waypoint can be trusted: its A-scans, the coarse surface and its neighbours have a say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octn_ros.planning.coarse_surface import CoarseSurface
+from octn_ros.planning.give_up import GiveUp
+from octn_ros.planning.neighbours import deviation_from_neighbours
+from octn_ros.settings import check_settings, setting
+from octn_ros.volume import VolumeGeometry
+
+# Scatter of the neighbours, in axial voxels, below which none of them is doubted.
+_FLOOR_VOXELS = 0.2
+# An outlier deviates by this many standard deviations of its neighbours, but by so many axial voxels at least.
+_OUTLIER_SIGMAS, _SMALLEST_OUTLIER_VOXELS = 4.5, 0.75
+
+
+@dataclass(frozen=True)
+class TrustConfig:
+    """What a waypoint needs to be published."""
+
+    min_step: float = setting(
+        0.35,
+        "step from air to tissue, as a share of the usual one, below which a waypoint is given up",
+        low=0.0,
+        high=1.0,
+    )
+    min_clearness: float = setting(0.2, "how much weaker another step above it must be, as a share", low=0.0, high=1.0)
+    max_glare: float = setting(
+        0.3, "brightness of the air above it over the usual, as a share of the usual step", low=0.0, high=10.0
+    )
+    neighbours: int = setting(24, "waypoints around it whose plane it is held against", low=4, high=200)
+    outlier_voxels: float = setting(
+        2.5, "largest distance along the beam from that plane, where the neighbours scatter; less where they do not",
+        unit="voxels", low=0.1, high=1000.0,
+    )  # fmt: skip
+    max_scatter_voxels: float = setting(
+        1.5, "largest scatter of the neighbours about their plane (standard deviation)", unit="voxels", low=0.01,
+        high=1000.0,
+    )  # fmt: skip
+    coarse_voxels: float = setting(
+        3.0, "largest distance from the coarse surface, less the usual one; on a slope of 1 twice that", unit="voxels",
+        low=0.1, high=1000.0,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+def judge(
+    geometry: VolumeGeometry,
+    surface: CoarseSurface,
+    points: NDArray[np.float64],
+    root: NDArray[np.float64],
+    coarse: NDArray[np.float64],
+    reason: NDArray[np.int8],
+    trust: TrustConfig,
+) -> NDArray[np.float64]:
+    """Say which roots are not to be trusted, and how far the others are.
+
+    A root is given up where its A-scans show no clear step from air to tissue, where it lies too far from the coarse
+    surface or from a robust surface through its neighbours, and where the neighbours themselves do not agree.
+
+    Args:
+        geometry: of the field.
+        surface: the coarse surface.
+        points: lateral places (x, y) [N, 2].
+        root: depths [N] in axial voxels.
+        coarse: depths of the coarse surface there [N], likewise.
+        reason: GiveUp of each point [N]; those of points that are given up here are written into it.
+        trust: what is asked of a waypoint.
+
+    Returns:
+        Confidence [N], 0 to 1; see SurfaceSearch.
+    """
+    usual = surface.typical_step
+    step = surface.sample(surface.step, points) / usual
+    clearness = surface.sample(surface.clearness, points)
+    glare = (surface.sample(surface.air, points) - np.median(surface.air)) / usual
+    voxel = geometry.spacing_m[1]
+    for wrong, why in (
+        (step < trust.min_step, GiveUp.WEAK),
+        (clearness < trust.min_clearness, GiveUp.AMBIGUOUS),
+        (glare > trust.max_glare, GiveUp.GLARE),
+    ):
+        reason[(reason == GiveUp.KEPT) & wrong] = why
+    kept = reason == GiveUp.KEPT
+    if kept.any():
+        away = root - coarse
+        # A lateral step of the coarse lattice counts for more on a slope.
+        steepness = np.hypot(*surface.slope_at(points).T) * voxel
+        far = np.abs(away - np.median(away[kept])) > trust.coarse_voxels * (1.0 + steepness)
+        reason[kept & far] = GiveUp.OUTLIER
+    deviation, scatter = deviation_from_neighbours(
+        points,
+        np.where(reason == GiveUp.KEPT, root * voxel, np.nan),
+        coarse * voxel,
+        trust.neighbours,
+        _FLOOR_VOXELS * voxel,
+        trust.outlier_voxels * voxel,
+    )
+    deviation, scatter = deviation / voxel, scatter / voxel
+    limit = np.clip(_OUTLIER_SIGMAS * scatter, _SMALLEST_OUTLIER_VOXELS, trust.outlier_voxels)
+    reason[(reason == GiveUp.KEPT) & ~(np.abs(deviation) <= limit)] = GiveUp.OUTLIER
+    reason[(reason == GiveUp.KEPT) & ~(scatter <= trust.max_scatter_voxels)] = GiveUp.UNSTEADY
+    confidence = np.clip(step, 0.0, 1.0) * np.clip(clearness, 0.0, 1.0) / (1.0 + scatter**2)
+    return confidence
