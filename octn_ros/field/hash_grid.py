@@ -24,7 +24,7 @@ class HashGridConfig:
 
     levels: int = setting(24, "number of resolution levels", low=1, high=32)
     features: int = setting(2, "features per level", low=1, high=16)
-    log2_table_size: int = setting(20, "logarithm of the largest number of vertices stored per level", low=4, high=24)
+    log2_table_size: int = setting(20, "logarithm of the largest number of vertices stored per level", low=4, high=28)
     base_resolution: int = setting(16, "cells along the longest axis at the coarsest level", low=2, high=4096)
     finest_ratio: float = setting(
         1.0, "cells of the finest level per voxel along the longest axis (open in the paper)", low=0.05, high=4.0

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 
 import torch
 from torch import Tensor, nn
 
+from octn_ros.field.capacity import grid_for_volume
 from octn_ros.field.field import CHUNK_POINTS, DifferentiableField, FieldDescription
 from octn_ros.field.hash_grid import HashGrid, HashGridConfig
 from octn_ros.field.network import Network, NetworkConfig
+from octn_ros.settings import check_settings, setting
+from octn_ros.volume import VolumeGeometry
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,26 @@ class NeuralFieldConfig:
 
     grid: HashGridConfig = dataclass_field(default_factory=HashGridConfig)
     network: NetworkConfig = dataclass_field(default_factory=NetworkConfig)
+    bits_per_voxel: float = setting(
+        0.0,
+        "bits of the grid's tables, as float32, per voxel of the volume; levels, cells and table size then follow from "
+        "it; 0 = as configured",
+        low=0.0,
+        high=64.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def for_volume(self, geometry: VolumeGeometry) -> NeuralFieldConfig:
+        """Return the configuration with levels and table size resolved for a volume of that shape.
+
+        With `bits_per_voxel` of 0 it is this one; the answer's own is 0, so resolving it again changes nothing.
+        """
+        if self.bits_per_voxel == 0:
+            return self
+        grid = grid_for_volume(self.grid, geometry.shape, self.bits_per_voxel)
+        return replace(self, grid=grid, bits_per_voxel=0.0)
 
 
 class NeuralModel(nn.Module):
