@@ -28,18 +28,18 @@ class AblatedSurface(Interface):
 
     def __post_init__(self) -> None:
         removed = np.asarray(self.removed_m)
-        if removed.ndim != 2 or min(removed.shape) < 2 or not np.isfinite(removed).all() or removed.min() < 0.0:
-            raise ConfigurationError(
-                f"crater: expected finite depths [bscan, lateral] of at least 0 m, got an array of {removed.shape}"
-                + (f" from {np.nanmin(removed):g} to {np.nanmax(removed):g} m" if removed.size else "")
-            )
+        if removed.ndim != 2 or min(removed.shape) < 2:
+            raise ConfigurationError(f"crater: expected depths [bscan, lateral], got an array of {removed.shape}")
+        if not np.isfinite(removed).all() or removed.min() < 0.0:
+            raise ConfigurationError(f"crater: expected finite depths of at least 0 m, got one of {removed.min():g} m")
 
     def removed_at(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.float64]:
         """Return the depth taken away at broadcast `x_m` and `y_m`, metres."""
         row, column = np.broadcast_arrays(
             np.asarray(y_m, dtype=np.float64) / self.spacing_m[0], np.asarray(x_m, dtype=np.float64) / self.spacing_m[1]
         )
-        return np.asarray(map_coordinates(self.removed_m, [row, column], order=1, mode="nearest", output=np.float64))
+        removed = map_coordinates(self.removed_m, [row.ravel(), column.ravel()], order=1, mode="nearest", output=float)
+        return np.asarray(removed).reshape(row.shape)
 
     def depth_at(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.float64]:
         """Return the depth z in metres at lateral `x_m` and bscan `y_m`, metres, broadcast together."""

@@ -2,9 +2,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from octn_ros.errors import ConfigurationError
-from octn_ros.simulation import PhantomConfig, make_phantom
+from octn_ros.simulation import ArtefactConfig, PhantomConfig, make_phantom
 
 SMALL = PhantomConfig(shape=(12, 96, 40))
 
@@ -53,18 +54,101 @@ def test_every_averaged_phantom_lies_31_db_from_its_truth(speckle, grain, range_
 @pytest.mark.parametrize("speckle", ["averaged", "single-look"])
 def test_truth_is_the_mean_of_many_draws(speckle):
     config = PhantomConfig(shape=(4, 24, 12), speckle=speckle)
-    draws = [make_phantom(dataclasses.replace(config, seed=seed)) for seed in range(250)]
+    draws = [make_phantom(dataclasses.replace(config, seed=seed)) for seed in range(120)]
     mean = np.mean([draw.volume.normalized() for draw in draws], axis=0, dtype=np.float64)
     error = mean - draws[0].truth.array
-    spread = np.std([draw.volume.normalized() for draw in draws]) / np.sqrt(250)
+    spread = np.std([draw.volume.normalized() for draw in draws]) / np.sqrt(120)
     assert np.abs(error).max() < 5 * spread
-    assert abs(error.mean()) < 3e-4
+    assert abs(error.mean()) < 5e-4
 
 
 def test_truth_does_not_depend_on_the_seed():
     one, other = (make_phantom(dataclasses.replace(SMALL, seed=seed)) for seed in (1, 2))
     np.testing.assert_array_equal(one.truth.array, other.truth.array)
     assert (one.volume.array != other.volume.array).mean() > 0.5
+
+
+ALL_ARTEFACTS = ArtefactConfig(glare_spots=3, hairs=2, detached_layer=True, dye_patches=2)
+
+
+@pytest.mark.parametrize("surface", ["wavy", "rough", "stepped", "steep"])
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_tissue_turned_by_quarters_is_the_turned_truth(surface, quarters):
+    # Square voxels and whole ones of shift: the lattices coincide, so nothing is interpolated.
+    still = PhantomConfig(
+        shape=(64, 96, 64), spacing_m=(20e-6, 15e-6, 20e-6), surface=surface, artefacts=ALL_ARTEFACTS,
+        surface_depth_m=0.6e-3, steepest_deg=20.0, wave_period_m=1e-3,
+    )  # fmt: skip
+    moved = dataclasses.replace(still, rotation_deg=90.0 * quarters, shift_m=(40e-6, -60e-6, 30e-6))
+    one, other = make_phantom(still), make_phantom(moved)
+    # From lateral towards bscan: index (bscan, lateral) goes to (lateral, last - bscan).
+    turned = np.rot90(one.truth.array, quarters, axes=(2, 0))
+    np.testing.assert_allclose(other.truth.array[:61, 2:, 2:], turned[3:, :-2, :-2], atol=2e-4)
+    assert np.abs(other.truth.array - one.truth.array).max() > 0.1
+    x, y = np.meshgrid(np.arange(64) * 20e-6, np.arange(64) * 20e-6)
+    np.testing.assert_array_equal(
+        other.artefact_mask(x, y)[:61, 2:], np.rot90(one.artefact_mask(x, y), quarters, axes=(1, 0))[3:, :-2]
+    )
+
+
+@pytest.mark.parametrize(("rotation_deg", "surface"), [(25.0, "wavy"), (-130.0, "tilted"), (200.0, "rough")])
+def test_tissue_turned_and_shifted_is_the_same_tissue_seen_elsewhere(rotation_deg, surface):
+    still = PhantomConfig(shape=(60, 96, 110), surface=surface, surface_depth_m=0.5e-3, tilt_deg=4.0)
+    shift = (60e-6, -40e-6, 33e-6)
+    one, other = make_phantom(still), make_phantom(dataclasses.replace(still, rotation_deg=rotation_deg, shift_m=shift))
+    generator = np.random.default_rng(0)
+    width, length, _ = one.volume.geometry.extent_m
+    radius, angle = generator.uniform(0, 0.55e-3, 4000), generator.uniform(0, 2 * np.pi, 4000)
+    x, y, z = radius * np.cos(angle), radius * np.sin(angle), generator.uniform(0.1e-3, 1.3e-3, 4000)
+    cos, sin = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
+    here = (width / 2 + x, length / 2 + y, z)
+    there = (width / 2 + cos * x - sin * y + shift[0], length / 2 + sin * x + cos * y + shift[1], z + shift[2])
+    levels = [
+        map_coordinates(phantom.truth.array, [place[1] / 28e-6, place[2] / 14.59e-6, place[0] / 14e-6], order=3)
+        for phantom, place in ((one, here), (other, there))
+    ]
+    # Cubic interpolation of the edge, 20 um wide in voxels of 14.59 um, is good to a few per cent of its height.
+    assert np.abs(levels[0] - levels[1]).max() < 0.04
+    assert np.sqrt(np.mean((levels[0] - levels[1]) ** 2)) < 4e-3
+    np.testing.assert_allclose(
+        one.surface_depth_m(*here[:2]) + shift[2], other.surface_depth_m(*there[:2]), rtol=0, atol=1e-12
+    )
+    normal, turned = one.surface_normal(*here[:2]), other.surface_normal(*there[:2])
+    expected = np.stack([cos * normal[:, 0] - sin * normal[:, 1], sin * normal[:, 0] + cos * normal[:, 1]], axis=-1)
+    np.testing.assert_allclose(turned[:, :2], expected, atol=1e-12)
+
+
+def test_a_bright_top_layer_lies_on_top_and_nowhere_else():
+    plain, layered = (
+        make_phantom(PhantomConfig(shape=(8, 96, 16), surface="flat", surface_depth_m=30 * 14.59e-6, top_layer_db=gain))
+        for gain in (0.0, 8.0)
+    )
+    rise_db = 50.0 * (layered.truth.array - plain.truth.array)[4, :, 8]
+    below_m = (np.arange(96) - 30) * 14.59e-6
+    np.testing.assert_allclose(rise_db[(below_m > 20e-6) & (below_m < 55e-6)], 8.0, atol=0.3)
+    np.testing.assert_allclose(rise_db[(below_m < -30e-6) | (below_m > 110e-6)], 0.0, atol=0.01)
+
+
+def test_an_open_depth_leaves_air_above_the_highest_place():
+    config = PhantomConfig(shape=(64, 192, 128), surface="tilted", tilt_deg=30.0)
+    x, y = np.linspace(0, 127 * 14e-6, 50), np.linspace(0, 63 * 28e-6, 50)[:, None]
+    assert config.true_surface().depth_at(x, y).min() == pytest.approx(10 * 14.59e-6)
+    assert PhantomConfig().true_surface().depth_m == pytest.approx(159 * 14.59e-6 / 4)
+
+
+def test_strong_attenuation_far_above_deep_tissue_stays_finite():
+    config = PhantomConfig(shape=(4, 500, 8), surface="flat", surface_depth_m=6.5e-3, attenuation_per_m=20000.0)
+    assert np.isfinite(make_phantom(config).truth.array).all()
+
+
+def test_truth_helpers_agree(default_phantom):
+    x, y = np.linspace(0, 3.5e-3, 7), np.linspace(0, 3.5e-3, 5)[:, None]
+    points = default_phantom.surface_point(x, y)
+    assert points.shape == (5, 7, 3)
+    np.testing.assert_array_equal(points[..., 2], default_phantom.surface_depth_m(x, y))
+    np.testing.assert_allclose(default_phantom.surface.distance(points), 0.0, atol=1e-12)
+    assert default_phantom.surface is default_phantom.surface_at_rest
+    assert not default_phantom.artefact_mask(x, y).any()
 
 
 def test_same_seed_gives_the_same_phantom():
@@ -121,7 +205,9 @@ def test_any_size_works(shape):
 
 
 def test_slabs_leave_no_trace(monkeypatch):
-    config = PhantomConfig(shape=(7, 60, 30), grain_voxels=1.2)
+    config = PhantomConfig(
+        shape=(7, 60, 30), grain_voxels=1.2, artefacts=dataclasses.replace(ALL_ARTEFACTS, axial_jitter_m=5e-6)
+    )
     whole = make_phantom(config)
     monkeypatch.setattr("octn_ros.simulation.phantom._SLAB_VOXELS", 3 * 60 * 30)
     parts = make_phantom(config)
@@ -137,7 +223,7 @@ def test_name_tells_surface_speckle_grain_snr_and_seed():
     ("values", "message"),
     [
         ({"speckle": "none"}, "single-look, averaged"),
-        ({"surface": "round"}, "flat, tilted, wavy"),
+        ({"surface": "round"}, "flat, tilted, wavy, rough, stepped, steep"),
         ({"snr_db": 0.0}, "at least 1"),
         ({"shape": (1, 8, 8)}, "at least 2"),
         ({"spacing_m": (28e-6, 0.0, 14e-6)}, "at least 1e-07"),
