@@ -252,7 +252,7 @@ def _hdf5_bomb() -> bytes:
     file = io.BytesIO()
     with h5py.File(file, "w") as scan:
         dataset = scan.create_dataset("scan", (2, 8, 8), "u1", chunks=(2, 8, 8), compression="gzip")
-        dataset.id.write_direct_chunk((0, 0, 0), _zeros_deflated())
+        dataset.id.write_direct_chunk((0, 0, 0), b"\x78\xda" + _zeros_deflated())
     return file.getvalue()
 
 
@@ -271,20 +271,26 @@ def _dicom_deflated() -> bytes:
     data_set.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
     file = io.BytesIO()
     pydicom.dcmwrite(file, data_set, enforce_file_format=True)
-    return file.getvalue()[:330] + _zeros_deflated(wbits=-15)
+    return file.getvalue()[:330] + _zeros_deflated()
 
 
-def _zeros_deflated(gigabytes: int = 4, wbits: int = 15) -> bytes:
-    stream, portion = zlib.compressobj(9, zlib.DEFLATED, wbits), bytes(2**24)
-    return b"".join(stream.compress(portion) for _ in range(64 * gigabytes)) + stream.flush()
+def _zeros_deflated() -> bytes:
+    """Return raw deflate blocks, without an end, of four gigabytes of nothing."""
+    stream = zlib.compressobj(9, zlib.DEFLATED, -15)
+    portion = stream.compress(bytes(2**24)) + stream.flush(zlib.Z_FULL_FLUSH)  # a block that stands for itself
+    return portion * 256
+
+
+def _gzip_bomb(start: bytes) -> bytes:
+    stream = zlib.compressobj(9, zlib.DEFLATED, -15)
+    blocks = stream.compress(start) + stream.flush(zlib.Z_FULL_FLUSH) + _zeros_deflated()
+    return b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + blocks
 
 
 def hostile_files() -> dict[str, bytes]:
     """Return files by name that claim too much, expand without end, or lead a reader round in circles."""
-    deflated = _zeros_deflated()
+    deflated = b"\x78\xda" + _zeros_deflated()
     huge = 32767
-    gz = zlib.compressobj(9, zlib.DEFLATED, 31)
-    gz_bomb = gz.compress(_nifti((huge, huge, 4), tail=b"")) + b"".join(gz.compress(bytes(2**24)) for _ in range(256))
     extension = struct.pack("<ii", 2**31 - 16, 6) + bytes(64)
     with_extension = bytearray(_nifti((4, 4, 4), offset=1000.0, tail=extension + bytes(2000)))
     with_extension[348] = 1
@@ -300,7 +306,9 @@ def hostile_files() -> dict[str, bytes]:
         "dims2.nii": _nifti2((2**31, 2**31, 2**31)),
         "dims3.nii": _nifti2((2**62, 2**62, 4)),
         "dims.nii.gz": gzip.compress(_nifti((huge, huge, huge))),
-        "bomb.nii.gz": gz_bomb + gz.flush(),
+        "bomb.nii.gz": _gzip_bomb(_nifti((huge, huge, 4), tail=b"")),
+        "bomb2.nii.gz": _gzip_bomb(_nifti((500, 500, 500), tail=b"")),
+        "bomb3.nii.gz": _gzip_bomb(_nifti((4, 4, 4), offset=2e9, tail=b"")),
         "shape.npy": _npy("(2147483648, 2147483648, 2147483648)"),
         "shape2.npy": _npy("(9223372036854775807, 3, 3)"),
         "shape3.npy": _npy("(-4, 4, 4)"),
