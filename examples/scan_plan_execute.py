@@ -36,7 +36,8 @@ def drive(corners_m: list[float]) -> None:
         planner = client.watch(DiagnosticArray, "plan_status")
         arm = client.watch(DiagnosticArray, "execution_status")
         ask(client, "scan")
-        planner.wait(120, lambda message: state_of(message) == "ready")
+        # The field through the measured voxels comes first, then the fitted one, which takes its plans away again.
+        planner.wait(120, lambda message: status.read(message)[2].get("field_kind") == "neural")
 
         request = GetPlan.Request()  # its tolerance is the line spacing in metres, 0 for the planner's parameter
         request.start.header.frame_id = request.goal.header.frame_id = "oct_optical_frame"

@@ -92,7 +92,12 @@ class Planner(Node):
     # --- fields and poses
 
     def _on_field(self, received: ReceivedField) -> None:
-        of_field = {"state": "ready", "stamp_ns": received.stamp_ns, "field_hash": received.hash}
+        of_field = {
+            "state": "ready",
+            "stamp_ns": received.stamp_ns,
+            "field_hash": received.hash,
+            "field_kind": received.field.kind,
+        }
         if self._plan_stands:
             self._withdraw(received)
             self._status.report(status.WARN, "a new field has come; the plan of the last one is withdrawn", of_field)

@@ -21,7 +21,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
 from octn_ros.errors import OctnError, VolumeError
-from octn_ros.field import dumps_field, field_hash
+from octn_ros.field import InterpolatedField, NeuralField, dumps_field, field_hash
 from octn_ros.field.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes import conversions, process, qos, status
 from octn_ros.nodes.bscan_pairs import BScanPairs
@@ -30,7 +30,7 @@ from octn_ros.nodes.pose_history import PoseHistory
 from octn_ros.nodes.worker import Worker
 from octn_ros.query import enface
 from octn_ros.settings import check_settings, setting
-from octn_ros.training import PRESETS, FitProgress, fit
+from octn_ros.training import PRESETS, FitConfig, FitProgress, FitResult, fit
 from octn_ros.volume import OCT_FRAME, IntensityScale, Volume, load_volume
 from octn_ros.volume.assembly import CScanAssembler
 
@@ -52,6 +52,9 @@ class TrainerConfig:
     )
     intensity_scale: str = setting(
         "unknown", "what the B-scans' grey values are of the reflected power", choices=("linear", "log", "unknown")
+    )
+    warm_start: bool = setting(
+        False, "begin the fit of a C-scan with the last fitted field, if the scans agree in shape and spacing"
     )
     largest_pose_gap_s: float = setting(
         0.5, "an ee_pose further than this from the scan's stamp does not count as the scan's", unit="s", low=0.0
@@ -79,7 +82,8 @@ class Scan:
 
 
 class Trainer(Node):
-    """Assembles C-scans, fits a field to each in a worker thread, and publishes it latched.
+    """Assembles C-scans, publishes the field through the voxels of each at once, fits a neural one in a worker thread
+    and publishes that in its place, both latched on one topic.
 
     Keyword arguments other than the namespace are those of `rclpy.node.Node`.
     """
@@ -95,6 +99,7 @@ class Trainer(Node):
         self._pairs, self._poses = BScanPairs(), PoseHistory()
         self._base_frame = ""
         self._scan: Scan | None = None
+        self._fitted: NeuralField | None = None  # the last one, of the worker's thread alone
         self._last_drop = "", 0
         self._worker = Worker("fit")
 
@@ -212,7 +217,16 @@ class Trainer(Node):
         scan = self._scan = Scan(volume, None, "")
         scan = self._place(scan)
         self._enface.publish(conversions.to_grid(enface(volume), volume.geometry, volume.stamp_ns))
+        self._publish(scan, dumps_field(InterpolatedField(volume), half=True))
         self._start_fit(scan)
+
+    def _publish(self, scan: Scan, data: bytes) -> None:
+        """Publish a field of a scan, from any thread; its pose goes first, so that the receiver can place it."""
+        stamp_ns = scan.volume.stamp_ns
+        placed = self._place(scan)
+        if placed.ee2base is not None:
+            self._scan_ee_pose.publish(conversions.matrix_to_pose_stamped(placed.ee2base, stamp_ns, placed.base_frame))
+        self._field.publish(conversions.to_field_message(data, stamp_ns, scan.volume.geometry.frame))
 
     def _start_fit(self, scan: Scan) -> bool:
         config = self._fit_config.config()
@@ -222,7 +236,7 @@ class Trainer(Node):
             self._progress.report(status.OK, "a fit is running; this C-scan is next", values)
         return waits
 
-    def _fit(self, scan: Scan, config: Any, cancelled: Callable[[], bool]) -> None:
+    def _fit(self, scan: Scan, config: FitConfig, cancelled: Callable[[], bool]) -> None:
         """Fit in the worker's thread and publish from there: publishers are safe from any thread."""
         stamp_ns = scan.volume.stamp_ns
         of_scan = {"stamp_ns": stamp_ns}
@@ -235,8 +249,9 @@ class Trainer(Node):
                 device=self._device,
                 progress=lambda progress: self._report(progress, stamp_ns),
                 cancelled=cancelled,
+                start=self._start_field(scan, config),
             )
-            figures = {**of_scan, "steps": result.steps, "seconds": result.seconds}
+            figures = {**of_scan, "steps": result.steps, "seconds": result.seconds, "ended": result.ended}
             if result.cancelled or cancelled():
                 self._progress.report(status.WARN, "fit cancelled", {"state": "cancelled", **figures})
                 return
@@ -244,16 +259,17 @@ class Trainer(Node):
         except Exception as error:  # whatever goes wrong in a fit, out of memory included, the node lives on
             self._progress.report(status.ERROR, f"fit failed: {error}", {"state": "failed", **of_scan})
             return
+        self._fitted = result.field
         if not self.context.ok():
             return
-        # The pose goes first, so that whoever gets the field can already place it.
-        placed = self._place(scan)
-        if placed.ee2base is not None:
-            self._scan_ee_pose.publish(conversions.matrix_to_pose_stamped(placed.ee2base, stamp_ns, placed.base_frame))
-        self._field.publish(conversions.to_field_message(data, stamp_ns, scan.volume.geometry.frame))
+        if self._scan is not None and self._scan.volume is not scan.volume:
+            words = "a newer C-scan has come meanwhile: its field stays, this one is not published"
+            self._progress.report(status.WARN, words, {"state": "superseded", **figures})
+            return
+        self._publish(scan, data)
         self._progress.report(
-            status.OK,
-            f"field fitted in {result.seconds:.1f} s: {result.steps} steps, PSNR {result.psnr_db:.2f} dB",
+            status.WARN if result.ended == "diverged" else status.OK,
+            _outcome(result),
             {
                 "state": "done",
                 **figures,
@@ -262,6 +278,14 @@ class Trainer(Node):
                 "field_bytes": len(data),
             },
         )
+
+    def _start_field(self, scan: Scan, config: FitConfig) -> NeuralField | None:
+        """Return the last fitted field if a fit of this scan shall and can begin with it."""
+        field, geometry = self._fitted, scan.volume.geometry
+        if field is None or not self._config.config().warm_start or field.config != config.field:
+            return None
+        same = field.geometry.shape == geometry.shape and np.allclose(field.geometry.spacing_m, geometry.spacing_m)
+        return field if same else None
 
     def _place(self, scan: Scan) -> Scan:
         """Return the scan with the pose nearest to it; it may have come after the last B-scan, by another topic."""
@@ -292,6 +316,13 @@ class Trainer(Node):
         response.success = self._worker.cancel()
         response.message = "the fit is being cancelled" if response.success else "no fit is running"
         return response
+
+
+def _outcome(result: FitResult) -> str:
+    figures = f"in {result.seconds:.1f} s: {result.steps} steps, PSNR {result.psnr_db:.2f} dB"
+    if result.ended == "diverged":
+        return f"the fit diverged; its last good state is published, fitted {figures}"
+    return f"field fitted {figures}, ended by {result.ended}"
 
 
 def _path_of(url: str) -> Path:

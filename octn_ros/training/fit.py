@@ -14,6 +14,7 @@ from torch import nn
 from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, NeuralField, NeuralModel
 from octn_ros.settings import as_plain
+from octn_ros.training.changes import ChangedBlocks
 from octn_ros.training.config import FitConfig
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.training.held_in import HeldInVoxels, psnr_of_error, psnr_of_field
@@ -90,9 +91,13 @@ def fit(
     if start is not None:
         config = dataclasses.replace(config, field=start.config)
         model = _model_of(start, volume).to(device)
+        changed = ChangedBlocks(voxels, model)
+        focus = changed if changed.share > 0 else None
     else:
+        focus = None
         model = _seeded_model(config, volume, held_in.mean).to(device)
-    steps, seconds, history, ended = _train(model, voxels, held_in, config, progress or _ignore, is_cancelled)
+    sampler = VoxelSampler(voxels, config.seed, focus)
+    steps, seconds, history, ended = _train(model, voxels, sampler, held_in, config, progress or _ignore, is_cancelled)
     field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
     quality = math.nan if ended == "cancelled" else psnr_of_field(field, volume, cancelled=is_cancelled)
     if math.isnan(quality):
@@ -112,13 +117,13 @@ def fit(
 def _train(
     model: NeuralModel,
     voxels: ResidentVoxels,
+    sampler: VoxelSampler,
     held_in: HeldInVoxels,
     config: FitConfig,
     progress: Callable[[FitProgress], None],
     cancelled: Callable[[], bool],
 ) -> tuple[int, float, tuple[FitProgress, ...], Ended]:
     """Train the model in place; return steps, seconds, reports and why it ended."""
-    sampler = VoxelSampler(voxels, config.seed)
     # Features that no sample touches keep a zero gradient; tiny-cuda-nn's small epsilon lets rare ones move at once.
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=(0.9, 0.99), eps=1e-15, fused=True)
     guard = DivergenceGuard(model, held_in.variance)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -73,6 +74,14 @@ class ResidentVoxels:
         return total
 
 
+class Focus(Protocol):
+    """Says where in the volume to look more closely."""
+
+    def draw(self, count: int, generator: torch.Generator) -> Tensor:
+        """Return flat voxel numbers [count]."""
+        ...
+
+
 class VoxelSampler:
     """Draws native voxels and interpolated points with their intensities, uniformly and independently.
 
@@ -81,15 +90,21 @@ class VoxelSampler:
     Args:
         voxels: the C-scan.
         seed: start of the random sequence.
+        focus: draws half of the native voxels in the place of chance; None leaves them all to it, as Algorithm 1 does.
     """
 
-    def __init__(self, voxels: ResidentVoxels, seed: int) -> None:
-        self._voxels = voxels
+    def __init__(self, voxels: ResidentVoxels, seed: int, focus: Focus | None = None) -> None:
+        self._voxels, self._focus = voxels, focus
         self._generator = torch.Generator(device=voxels.device).manual_seed(seed)
 
     def discrete(self, count: int) -> tuple[Tensor, Tensor]:
         """Draw `count` voxels of the native grid: canonical points [count, 3] and measured intensities [count]."""
-        flat = torch.randint(len(self._voxels), (count,), generator=self._generator, device=self._voxels.device)
+        focused = count // 2 if self._focus is not None else 0
+        flat = torch.randint(
+            len(self._voxels), (count - focused,), generator=self._generator, device=self._voxels.device
+        )
+        if self._focus is not None:
+            flat = torch.cat((flat, self._focus.draw(focused, self._generator)))
         return self._voxels.points(flat), self._voxels.at(flat)
 
     def interpolated(self, count: int) -> tuple[Tensor, Tensor]:

@@ -70,7 +70,8 @@ def test_a_message_that_is_no_field_is_refused_and_the_last_field_kept(
     bench.until("plan_raster refused", "none yet")
     bench.field.publish(conversions.to_field_message(field_data, STAMP_NS, OCT))
     ready = bench.until("ready to plan")
-    assert ready == {"state": "ready", "stamp_ns": str(STAMP_NS), "field_hash": field_hash(field_data)}
+    identity = {"stamp_ns": str(STAMP_NS), "field_hash": field_hash(field_data), "field_kind": "neural"}
+    assert ready == {"state": "ready", **identity}
     bench.field.publish(CompressedImage(format="png"))
     bench.until("field refused", "png")
     assert not bench.ask("plan_raster", frame="map").poses

@@ -18,11 +18,12 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
-from octn_ros.field import loads_field
+from octn_ros.field import field_hash, loads_field
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.trainer import Trainer
 from octn_ros.planning import from_translation_quaternion
 from octn_ros.simulation import PhantomConfig, Scanner, make_phantom
+from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.volume import Volume, save_volume
 
 TIMEOUT_S = 30.0
@@ -57,7 +58,7 @@ class Bench:
         self.bscan = client.node.create_publisher(Image, "bscan", profile)
         self.bscan_pose = client.node.create_publisher(PoseStamped, "bscan_pose", profile)
         self.ee_pose = client.node.create_publisher(PoseStamped, "ee_pose", qos.STREAM)
-        spin(Trainer, **FIT, **parameters)
+        spin(Trainer, **(FIT | parameters))
         self.progress.wait_matched(TIMEOUT_S)
         for publisher in (self.bscan, self.bscan_pose, self.ee_pose):
             client.wait_for(lambda publisher=publisher: publisher.get_subscription_count() > 0, TIMEOUT_S, "trainer")
@@ -75,7 +76,15 @@ class Bench:
         return self.progress.wait(TIMEOUT_S, lambda message: all(word in status.read(message)[1] for word in words))
 
 
-def test_a_file_becomes_an_en_face_view_at_once_and_then_a_field(
+def kind_of(message: CompressedImage) -> str:
+    return loads_field(conversions.field_data(message)).kind
+
+
+def is_neural(message: CompressedImage) -> bool:
+    return kind_of(message) == "neural"
+
+
+def test_a_file_becomes_an_en_face_view_and_a_field_at_once_and_then_a_fitted_one(
     spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
 ) -> None:
     bench = Bench(spin, client)
@@ -85,15 +94,18 @@ def test_a_file_becomes_an_en_face_view_at_once_and_then_a_field(
     assert answer.result == LoadMap.Response.RESULT_SUCCESS
     assert answer.map.info.width == SHAPE[2]
     assert answer.map == bench.enface.wait(TIMEOUT_S)
-    message = bench.field.wait(TIMEOUT_S)
-    assert message.header.stamp == answer.map.header.stamp
-    assert message.header.frame_id == "oct_optical_frame"
-    field = loads_field(conversions.field_data(message))
-    assert field.geometry.shape == SHAPE
-    assert field.description.stamp_ns == conversions.stamp_to_ns(message.header.stamp)
+    bench.field.wait(TIMEOUT_S, is_neural)
+    assert [kind_of(message) for message in bench.field.messages] == ["interpolated", "neural"]
+    for message in bench.field.messages:
+        assert message.header.stamp == answer.map.header.stamp
+        assert message.header.frame_id == "oct_optical_frame"
+        field = loads_field(conversions.field_data(message))
+        assert field.geometry.shape == SHAPE
+        assert field.description.stamp_ns == conversions.stamp_to_ns(message.header.stamp)
     level, _, values = status.read(bench.until("field fitted"))
     assert level == status.OK
-    assert values["state"] == "done"
+    assert (values["state"], values["ended"]) == ("done", "steps")
+    assert values["field_hash"] == field_hash(conversions.field_data(bench.field.messages[-1]))
     assert float(values["psnr_db"]) > 0.0
     assert not bench.scan_ee_pose.messages, "nobody said where the arm was"
     assert bench.load(str(path)).result == LoadMap.Response.RESULT_SUCCESS, "a plain path does as well"
@@ -147,7 +159,7 @@ def test_bscans_become_a_field_with_the_pose_of_the_arm(spin: Callable[..., Any]
     for offset_ns, pose in ((-900_000_000, np.eye(4)), (20_000_000, ee2base), (900_000_000, np.eye(4))):
         bench.ee_pose.publish(conversions.matrix_to_pose_stamped(pose, start_ns + offset_ns, BASE))
     bench.scan(volume, start_ns)
-    field = bench.field.wait(TIMEOUT_S)
+    field = bench.field.wait(TIMEOUT_S, is_neural)
     assert conversions.stamp_to_ns(field.header.stamp) == start_ns
     # Nothing says when a pose has been heard, and a fit of five steps is over before: fit again until it has.
     client.wait_for(
@@ -189,10 +201,49 @@ def test_refit_fits_the_same_scan_again(spin: Callable[..., Any], client: Any, v
     bench = Bench(spin, client)
     save_volume(tmp_path / "scan.nii", volume)
     bench.load(str(tmp_path / "scan.nii"))
-    first = bench.field.wait(TIMEOUT_S)
+    first = bench.field.wait(TIMEOUT_S, is_neural)
     assert client.call(Trigger, "refit", Trigger.Request(), TIMEOUT_S).success
-    again = bench.field.wait(TIMEOUT_S, lambda message: message is not first)
+    again = bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message is not first)
     assert again.header.stamp == first.header.stamp
+    assert not warm(again)
+
+
+def test_a_warm_start_begins_with_the_last_field(
+    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+) -> None:
+    bench = Bench(spin, client, warm_start=True)
+    save_volume(tmp_path / "scan.nii", volume)
+    bench.load(str(tmp_path / "scan.nii"))
+    first = bench.field.wait(TIMEOUT_S, is_neural)
+    assert not warm(first)
+    bench.load(str(tmp_path / "scan.nii"))
+    again = bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message is not first)
+    assert warm(again)
+    levels = SetParameters.Request(parameters=[Parameter("fit.field.grid.levels", value=2).to_parameter_msg()])
+    assert client.call(SetParameters, "trainer/set_parameters", levels, TIMEOUT_S).results[0].successful
+    bench.load(str(tmp_path / "scan.nii"))
+    other = bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message not in (first, again))
+    assert not warm(other), "a field of another shape cannot be gone on with"
+
+
+def test_a_fit_that_diverges_is_published_as_it_last_was_and_said_so(
+    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    diverged = iter([False] * 29 + [True])
+    monkeypatch.setattr(DivergenceGuard, "diverged", lambda self, loss: next(diverged))
+    # A batch this large is evaluated every 20 steps.
+    bench = Bench(spin, client, fit__steps=60, fit__batch=16384)
+    save_volume(tmp_path / "scan.nii", volume)
+    bench.load(str(tmp_path / "scan.nii"))
+    level, _, values = status.read(bench.until("diverged", "last good state"))
+    assert level == status.WARN
+    assert (values["state"], values["ended"], values["steps"]) == ("done", "diverged", "20")
+    field = loads_field(conversions.field_data(bench.field.wait(TIMEOUT_S, is_neural)))
+    assert field.description.training["ended"] == "diverged"
+
+
+def warm(message: CompressedImage) -> bool:
+    return bool(loads_field(conversions.field_data(message)).description.training["warm_start"])
 
 
 def _unchecked(voxels: np.ndarray) -> Volume:
