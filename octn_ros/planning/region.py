@@ -13,7 +13,7 @@ from octn_ros.errors import PlanError
 from octn_ros.planning.scanline import NOTHING_M, Spans, clipped_lines
 
 MAX_VERTICES = 1000
-_BORDER_SAMPLES, _BISECTIONS = 512, 60
+_BORDER_SAMPLES, _BISECTIONS = 256, 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +96,11 @@ class Region:
                 f"expected a raster region wider than twice its margin of {self.margin_m * 1e6:.4g} um, got one of "
                 f"which the margin leaves nothing; it is {(high - low) * 1e3:.3f} mm across its lines"
             )
-        return (
-            self._edge(samples[max(filled[0] - 1, 0)], samples[filled[0]]),
-            self._edge(samples[min(filled[-1] + 1, _BORDER_SAMPLES - 1)], samples[filled[-1]]),
-        )
+        first = self._edge(samples[max(filled[0] - 1, 0)], samples[filled[0]])
+        last = self._edge(samples[min(filled[-1] + 1, _BORDER_SAMPLES - 1)], samples[filled[-1]])
+        # An edge along the lines is tilted by its rounding: just inside, the whole of it is met.
+        inwards = min(NOTHING_M, 0.5 * (last - first))
+        return first + inwards, last - inwards
 
     def _edge(self, empty: float, filled: float) -> float:
         """Bisect between a line that misses the treated part and one that meets it."""
