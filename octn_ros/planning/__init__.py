@@ -1,10 +1,13 @@
 """From a rectangle on the tissue to waypoints of the laser in the robot's frames."""
 
+from octn_ros.planning.baseline import NativeSurface, baseline_surface, knn_baseline
 from octn_ros.planning.calibration import Calibration, calibration_from_dict, load_calibration
+from octn_ros.planning.coarse_surface import CoarseSurfaceConfig
 from octn_ros.planning.coverage import Coverage, measure_coverage
 from octn_ros.planning.envelope import EnvelopeConfig
 from octn_ros.planning.error_budget import ErrorBudget, ErrorBudgetConfig, ErrorTerm
 from octn_ros.planning.keep_out import KeepOut, load_keep_out
+from octn_ros.planning.paper_methods import PaperConfig, paper_newton, paper_sgd
 from octn_ros.planning.plan import GivenUpPoint, Plan, PlannerConfig, plan_raster, plan_region
 from octn_ros.planning.plan_report import plan_to_plain
 from octn_ros.planning.raster import RasterConfig, RasterPattern, raster_pattern, rectangle_raster
@@ -18,10 +21,12 @@ from octn_ros.planning.region import (
 from octn_ros.planning.region_config import RegionConfig
 from octn_ros.planning.surface_search import GiveUp, SurfaceSearch, SurfaceSearchConfig, find_surface
 from octn_ros.planning.transforms import from_translation_quaternion, invert, make_rigid, quaternions_xyzw
+from octn_ros.planning.trust import TrustConfig
 from octn_ros.planning.waypoints import WaypointConfig, Waypoints, inward_normals, place_waypoints, waypoint_poses
 
 __all__ = [
     "Calibration",
+    "CoarseSurfaceConfig",
     "Coverage",
     "EnvelopeConfig",
     "ErrorBudget",
@@ -30,6 +35,8 @@ __all__ = [
     "GiveUp",
     "GivenUpPoint",
     "KeepOut",
+    "NativeSurface",
+    "PaperConfig",
     "Plan",
     "PlannerConfig",
     "RasterConfig",
@@ -38,18 +45,23 @@ __all__ = [
     "RegionConfig",
     "SurfaceSearch",
     "SurfaceSearchConfig",
+    "TrustConfig",
     "WaypointConfig",
     "Waypoints",
+    "baseline_surface",
     "calibration_from_dict",
     "centred_rectangle_region",
     "find_surface",
     "from_translation_quaternion",
     "invert",
     "inward_normals",
+    "knn_baseline",
     "load_calibration",
     "load_keep_out",
     "make_rigid",
     "measure_coverage",
+    "paper_newton",
+    "paper_sgd",
     "place_waypoints",
     "plan_raster",
     "plan_region",

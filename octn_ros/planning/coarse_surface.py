@@ -185,7 +185,8 @@ def _lattice_size(side_m: NDArray[np.float64], voxels: NDArray[np.int_], most: i
 
 
 def _odd(size: float, most: int) -> int:
-    count = max(1, min(round(size), most))
+    """Return an odd number of A-scans about `size`: a neighbour on either side at least, if any are asked for."""
+    count = 0 if size == 0 else max(3, min(round(size), most))
     return count if count % 2 else count + 1
 
 
