@@ -15,9 +15,6 @@ from octn_ros.errors import ConfigurationError
 from octn_ros.simulation.artefacts import ArtefactConfig
 from octn_ros.simulation.phantom_config import PhantomConfig
 
-SNR_DB = (13.0, 15.0, 18.0, 8.0)
-"""The TissueOCT values of the paper's table 3 (R2, between R1 and R2, R3), and a low one."""
-
 _AXIAL_SPACING_M = 14.59e-6
 _FLAT_VOXELS = 40  # depth of the flat ones; the shares of a voxel in their names come on top
 _TOP_LAYER_DB = 8.0
