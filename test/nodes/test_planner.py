@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.srv import GetPlan
-from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import CompressedImage, PointCloud2
+from std_srvs.srv import Trigger
 
-from octn_ros.errors import CalibrationError
-from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig, dumps_field, field_hash
+from octn_ros.errors import CalibrationError, PlanError
+from octn_ros.field import HashGridConfig, InterpolatedField, NetworkConfig, NeuralFieldConfig, dumps_field, field_hash
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.planner import Planner
 from octn_ros.nodes.query import Query
@@ -36,13 +39,13 @@ def field_data() -> bytes:
 class Bench:
     """Planner and query, and a client that plays the trainer."""
 
-    def __init__(self, spin: Callable[..., Any], client: Any) -> None:
+    def __init__(self, spin: Callable[..., Any], client: Any, **parameters: Any) -> None:
         self.client = client
         self.status = client.watch(DiagnosticArray, "plan_status")
         self.waypoints = client.watch(PoseArray, "waypoints")
         self.field = client.node.create_publisher(CompressedImage, "field", qos.LATCHED)
         self.scan_ee_pose = client.node.create_publisher(PoseStamped, "scan_ee_pose", qos.LATCHED)
-        spin(Planner, device="cpu")
+        spin(Planner, device="cpu", **parameters)
         spin(Query, device="cpu")
 
     def ask(self, service: str, frame: str = OCT, tolerance: float = 0.0) -> Any:
@@ -90,6 +93,64 @@ def test_the_base_frame_is_known_only_with_the_pose_of_the_same_scan(
     bench.until("ready to plan")
     assert not bench.ask("plan_raster", frame="base_link").poses
     bench.until("base_link", "scan_ee_pose", "not known")
+
+
+@pytest.fixture(scope="module")
+def flat_field() -> bytes:
+    """A field with a clear, flat surface under all of a small scan."""
+    config = PhantomConfig(shape=(24, 96, 24), surface="flat", spacing_m=(4e-5, 1e-5, 4e-5), asymmetric=False)
+    return dumps_field(InterpolatedField(make_phantom(config).truth))
+
+
+LEADING = {
+    "region.size_m": [4e-4, 3e-4],
+    "raster.line_spacing_m": 1e-4,
+    "raster.lead_in_m": 5e-5,
+    "raster.lead_out_m": 5e-5,
+}
+
+
+def test_replan_takes_everything_from_the_parameters(spin: Callable[..., Any], client: Any, flat_field: bytes) -> None:
+    bench = Bench(spin, client, **LEADING)
+    tool_path = client.watch(PointCloud2, "tool_path")
+    answer = client.call(Trigger, "replan", Trigger.Request(), TIMEOUT_S)
+    assert not answer.success
+    assert "none yet" in answer.message
+    bench.field.publish(conversions.to_field_message(flat_field, STAMP_NS, OCT))
+    bench.until("ready to plan")
+    answer = client.call(Trigger, "replan", Trigger.Request(), TIMEOUT_S)
+    assert answer.success, answer.message
+    figures = bench.until("hit rate")
+    assert figures["state"] == "planned"
+    covered, budget = json.loads(figures["coverage"]), json.loads(figures["error_budget"])
+    assert covered["line_gap_m"] <= 1e-4 * 1.001
+    assert "calibration oct2ee" in budget["not_stated"]
+    assert budget["total_um"] > 0
+    rows = conversions.cloud_to_tool_path(tool_path.wait(TIMEOUT_S, lambda message: message.width > 0))
+    lines = int(rows["segment"].max()) + 1
+    assert lines == 4
+    assert (rows["laser_on"] == 0).sum() == 2 * lines
+    assert np.isnan(rows["residual"][rows["laser_on"] == 0]).all()
+
+
+def test_a_plan_through_a_keep_out_region_is_refused_and_not_published(
+    spin: Callable[..., Any], client: Any, flat_field: bytes, tmp_path: Any
+) -> None:
+    path = tmp_path / "keep_out.yaml"
+    middle = 23 * 4e-5 / 2
+    box = f"{{min_m: [{middle - 3e-5:.6f}, {middle - 3e-5:.6f}, 0], max_m: [{middle + 3e-5:.6f}, 1, 1]}}"
+    path.write_text(f"units: m\nkeep_out:\n  - {{name: vessel, frame: oct, box: {box}}}\n", encoding="utf-8")
+    bench = Bench(spin, client, **LEADING, keep_out=str(path))
+    bench.field.publish(conversions.to_field_message(flat_field, STAMP_NS, OCT))
+    bench.until("ready to plan")
+    answer = client.call(Trigger, "replan", Trigger.Request(), TIMEOUT_S)
+    assert not answer.success
+    assert "keep-out region 'vessel'" in answer.message
+    assert bench.until("replan refused", "vessel", "waypoint")["state"] == "refused"
+    assert not bench.waypoints.messages
+    path.write_text("units: m\nkeep_out: 3\n", encoding="utf-8")
+    with pytest.raises(PlanError, match="list keep_out"):
+        spin(Planner, device="cpu", keep_out=str(path))
 
 
 def test_a_query_for_too_many_samples_is_refused(spin: Callable[..., Any], client: Any, field_data: bytes) -> None:
