@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from octn_ros import __version__
-from octn_ros.commands import band, calibrate, convert, demo, eval, fit, info, plan, run, slice, surface
+from octn_ros.commands import band, bench, calibrate, convert, demo, eval, fit, info, plan, run, slice, surface
 from octn_ros.errors import OctnError
 from octn_ros.openmp import wait_passively
 
@@ -53,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"octn {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
-    for command in (demo, fit, eval, slice, surface, band, plan, calibrate, run, info, convert):
+    for command in (demo, fit, eval, slice, surface, band, plan, calibrate, run, info, convert, bench):
         command.add_parser(commands)
     return parser
 

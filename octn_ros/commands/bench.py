@@ -1,0 +1,118 @@
+"""`octn bench`: a table of the paper, measured with this package."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from octn_ros.commands import arguments as common
+from octn_ros.commands import terminal
+
+if TYPE_CHECKING:
+    from octn_ros.evaluation.benchmark import BenchmarkResult
+
+# Named here too, so that the help needs no torch; a test holds them against octn_ros.evaluation.registry.MODULES.
+BENCHMARK_NAMES = ("raster",)
+_TABLE_WIDTH = 240
+
+
+@dataclass(frozen=True)
+class BenchCommand:
+    """Run one benchmark.
+
+    Attributes:
+        name: which.
+        data: folder of C-scans, None for phantoms.
+        device: auto, cpu, cuda, ...
+        quick: a reduced run of less than a minute.
+        json: print JSON instead of a table.
+        output: folder for JSON, Markdown and pictures, None to write nothing.
+    """
+
+    name: str
+    data: Path | None = None
+    device: str = "auto"
+    quick: bool = False
+    json: bool = False
+    output: Path | None = None
+
+    def run(self) -> int:
+        """Measure, write the report, print the table; return 0.
+
+        Raises:
+            OctnError: an argument or the data cannot be used.
+        """
+        if self.data is not None and not self.data.is_dir():
+            raise terminal.CommandError(f"{self.data}: expected a folder of C-scans for --data")
+        if self.output is not None:
+            terminal.make_output_directory(self.output)
+        from octn_ros.evaluation.benchmark import BenchmarkRequest
+        from octn_ros.evaluation.environment import environment
+        from octn_ros.evaluation.registry import benchmark
+        from octn_ros.evaluation.report import result_to_plain, write_report
+        from octn_ros.field.device import torch_device
+
+        measure, device = benchmark(self.name), str(torch_device(self.device))
+        with terminal.ProgressBar() as bar:
+            result = measure(BenchmarkRequest(self.data, device, self.quick, bar.show))
+        surroundings = environment(device)
+        values = result_to_plain(result, surroundings) | {"quick": self.quick}
+        if self.output is not None:
+            try:
+                written = write_report(self.output, result, surroundings)
+            except OSError as error:
+                raise terminal.CommandError(f"{self.output}: cannot write here: {error.strerror or error}") from error
+            values["written"] = [str(path) for path in written]
+        if self.json:
+            terminal.print_json(values)
+        else:
+            _print_result(result)
+            if self.output is not None:
+                terminal.say(f"report: {self.output / result.name}.md")
+        return 0
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser's subcommands."""
+    parser = commands.add_parser("bench", help="measure a table of the paper", description=__doc__)
+    parser.add_argument("name", choices=BENCHMARK_NAMES, metavar="NAME", help=f"one of {', '.join(BENCHMARK_NAMES)}")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of C-scans to measure on as well")
+    parser.add_argument("--device", default="auto", help="auto (a GPU if there is one), cpu, cuda, cuda:1, ...")
+    parser.add_argument("--quick", action="store_true", help="a reduced run that ends within a minute on two cores")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="write NAME.json, NAME.md and pictures there")
+    common.add_json(parser)
+    parser.set_defaults(read=_read)
+
+
+def _read(arguments: argparse.Namespace) -> BenchCommand:
+    return BenchCommand(
+        name=arguments.name,
+        data=arguments.data,
+        device=arguments.device,
+        quick=arguments.quick,
+        json=arguments.json,
+        output=arguments.output,
+    )
+
+
+def _print_result(result: BenchmarkResult) -> None:
+    """Print the table, the paper's rows below it, and what differs from the paper's protocol."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{result.name}: {result.title}", title_justify="left", box=box.SIMPLE_HEAD)
+    for index, column in enumerate(result.columns):
+        table.add_column(column.title, justify="left" if index < 3 else "right", no_wrap=True)
+    for row in result.rows:
+        table.add_row(*(column.text(row) for column in result.columns))
+    table.add_section()
+    for row in result.paper:
+        table.add_row(*(column.text(row) for column in result.columns), style="dim")
+    console = Console(highlight=False)
+    # A terminal can scroll or wrap a wide table; columns squeezed to two letters nobody can read.
+    console.print(table, width=max(console.width, _TABLE_WIDTH), crop=False, soft_wrap=True)
+    for sentence in (*result.notes, *result.deviations):
+        console.print(f"- {sentence}", markup=False)

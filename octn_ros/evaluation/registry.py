@@ -1,0 +1,23 @@
+"""The benchmarks by name; each module is loaded when it is asked for, since they load torch."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from octn_ros.errors import ConfigurationError
+from octn_ros.evaluation.benchmark import Benchmark
+
+# Name on the command line -> module with `run`.
+MODULES = {"raster": "octn_ros.evaluation.raster"}
+
+
+def benchmark(name: str) -> Benchmark:
+    """Return the benchmark of that name.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    if name not in MODULES:
+        raise ConfigurationError(f"benchmark: expected one of {', '.join(sorted(MODULES))}, got {name!r}")
+    run: Benchmark = import_module(MODULES[name]).run
+    return run

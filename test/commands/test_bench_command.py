@@ -1,0 +1,69 @@
+"""`octn bench`: JSON, table and report files of a benchmark that takes no time, and what it refuses."""
+
+import json
+import sys
+import types
+
+import pytest
+
+from octn_ros.cli import main
+
+
+@pytest.fixture
+def instant(monkeypatch):
+    """A benchmark in the place of `raster`; returns the requests it was given."""
+    from octn_ros.evaluation import registry
+    from octn_ros.evaluation.benchmark import BenchmarkResult, Column
+
+    requests = []
+
+    def run(request):
+        requests.append(request)
+        request.progress("measuring", 0.5, "half")
+        rows = [{"phantom": "flat", "hit_rate": 0.5}]
+        columns = [Column("phantom", "phantom"), Column("hit_rate", "hits %", "{:.0f}", 100.0)]
+        return BenchmarkResult(
+            "raster", "a table", rows, columns, [], ["All differs."], [], {}, {}, 0.1, {"a.png": b"p"}
+        )
+
+    module = types.ModuleType("instant_benchmark")
+    module.run = run
+    monkeypatch.setitem(sys.modules, "instant_benchmark", module)
+    monkeypatch.setitem(registry.MODULES, "raster", "instant_benchmark")
+    return requests
+
+
+def test_json_and_report(instant, tmp_path, capsys):
+    folder = tmp_path / "new" / "report"
+    assert main(["bench", "raster", "--quick", "--json", "--device", "cpu", "--output", str(folder)]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["rows"] == [{"phantom": "flat", "hit_rate": 0.5}]
+    assert values["quick"] is True
+    assert {"hardware", "versions", "commit", "seeds", "configuration"} <= set(values)
+    assert sorted(path.name for path in folder.iterdir()) == ["a.png", "raster.json", "raster.md"]
+    assert instant[0].quick
+    assert instant[0].device == "cpu"
+
+
+def test_the_table_is_for_people(instant, capsys):
+    assert main(["bench", "raster"]) == 0
+    output = capsys.readouterr().out
+    assert "hits %" in output
+    assert "50" in output
+    assert "All differs." in output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("magic",), "invalid choice: 'magic'"),
+        (("raster", "--data", "missing"), "expected a folder of C-scans"),
+        (("raster", "--device", "abacus"), "abacus"),
+    ],
+)
+def test_bad_arguments_are_one_line(arguments, words, capsys):
+    assert main(["bench", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("octn bench: error: ")
+    assert words in error
+    assert error.count("\n") == 1
