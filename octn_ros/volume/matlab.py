@@ -1,4 +1,4 @@
-"""C-scans in MATLAB's files: versions 4 to 7 through SciPy, version 7.3, which is HDF5, through h5py."""
+"""C-scans in MATLAB's files: versions 5 to 7 through SciPy, version 7.3, which is HDF5, through h5py."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
 from octn_ros.volume.hdf5 import read_hdf5
+from octn_ros.volume.matlab_elements import check_arrays
 from octn_ros.volume.named_arrays import choose_array
 from octn_ros.volume.scan_header import RawScan, ReadRequest, ScanHeader
 
@@ -36,12 +37,14 @@ def read_matlab(path: Path, request: ReadRequest) -> RawScan:
         start = file.read(_HDF5_OFFSETS[-1] + 4)
     if any(start[offset : offset + 4] == b"\x89HDF" for offset in _HDF5_OFFSETS):
         return read_hdf5(path, request)
+    check_arrays(path, [])
     listed = {name: (tuple(int(n) for n in shape), kind) for name, shape, kind in scipy.io.whosmat(path)}
     numeric = {name: shape for name, (shape, kind) in listed.items() if kind in _TYPES}
     name = choose_array(numeric, request.variable)
     shape, kind = listed[name]
     # Version 7 compresses, and small integers may stand for doubles: the size of the file is no upper bound.
     request.limit.check_array(shape, _TYPES[kind], path.stat().st_size, compressed=True)
+    check_arrays(path, [name, SPACING_KEY])
     spacing_um = _spacing_um(path) if SPACING_KEY in numeric else None
 
     def read_voxels() -> NDArray[Any]:

@@ -22,7 +22,7 @@ from octn_ros.volume.limits import DEFAULT_MAX_BYTES
 from octn_ros.volume.scan_header import RawScan, ReadRequest, ScanHeader
 
 LIBRARY = "oct_converter"
-_START_S = 4  # processor time to import the library, with room
+_START_S = 3  # processor time to import the library, with room
 _BYTES_PER_S = 20e6  # slower than any of its readers
 _START_BYTES = 2**30  # address space of the interpreter with the library's own imports
 _COPIES = 3  # of the voxels that a reader holds at once: bytes, array, list of B-scans
