@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
+from octn_ros.field.backend import Backend, choose_backend, make_evaluator
 from octn_ros.field.capacity import grid_for_volume
 from octn_ros.field.field import CHUNK_POINTS, DifferentiableField, FieldDescription
 from octn_ros.field.hash_grid import HashGrid, HashGridConfig
 from octn_ros.field.network import Network, NetworkConfig
 from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry
+
+if TYPE_CHECKING:
+    from octn_ros.field.compiled.evaluator import CompiledEvaluator
 
 
 @dataclass(frozen=True)
@@ -70,16 +76,29 @@ class NeuralField(DifferentiableField):
     mixed ones do not). With smoothstep weights and softplus the gradient is continuous and second derivatives are
     exact inside cells. Values are not clipped to [0, 1].
 
+    On the CPU compiled kernels answer where they can, equal to plain torch up to rounding; `backend` tells which.
+
     Args:
         model: the fitted model; frozen here.
         config: the shape it was made with.
         description: where it comes from.
+        backend: "auto" for the fastest that can run the model, "torch" for the plain reference, "compiled".
+
+    Raises:
+        ConfigurationError: compiled kernels are asked for and cannot run the model.
     """
 
-    def __init__(self, model: NeuralModel, config: NeuralFieldConfig, description: FieldDescription) -> None:
+    def __init__(
+        self,
+        model: NeuralModel,
+        config: NeuralFieldConfig,
+        description: FieldDescription,
+        backend: Backend = "auto",
+    ) -> None:
         super().__init__(description)
         self.model = model.eval().requires_grad_(False)
         self.config = config
+        self.backend = choose_backend(model, backend)
         # So that intermediates of the encoding (rows and weights of 8 vertices a level) stay within some 100 MB.
         self._chunk = max(1, 8 * CHUNK_POINTS // config.grid.levels)
 
@@ -88,11 +107,33 @@ class NeuralField(DifferentiableField):
         """Where the parameters lie."""
         return self.model.grid.table.device
 
+    @cached_property
+    def _evaluator(self) -> CompiledEvaluator | None:
+        return make_evaluator(self.model) if self.backend == "compiled" else None
+
     def evaluate(self, points: Tensor) -> Tensor:
         """Return the intensities [N] at canonical points [N, 3]; differentiable in the points."""
+        if self._evaluator is not None and not points.requires_grad:
+            return self._evaluator.evaluate(points)
         if points.requires_grad or len(points) <= self._chunk:
             return self.model(points)
         return torch.cat([self.model(chunk) for chunk in points.split(self._chunk)])
+
+    def value_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return intensities [N] and their exact gradients [N, 3] by canonical position; the graph is not kept."""
+        if self._evaluator is not None:
+            return self._evaluator.value_and_gradient(points)
+        return super().value_and_gradient(points)
+
+    def lattice(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> Tensor:
+        """Return intensities [bscan, axial, lateral] on the lattice of three canonical coordinate vectors.
+
+        Neighbouring points share vertices, so this is the fast way to ask for many; equal to `evaluate` at the same
+        points, in memory that does not grow with the lattice beyond the answer itself.
+        """
+        if self._evaluator is not None:
+            return self._evaluator.lattice(lateral, axial, bscan)
+        return super().lattice(lateral, axial, bscan)
 
     def axial_value_and_slope(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> tuple[Tensor, Tensor]:
         """Return intensities [N] and exact derivatives by the axial coordinate [N] at canonical coordinates [N].
@@ -100,6 +141,9 @@ class NeuralField(DifferentiableField):
         The axial tangent is carried through encoding and network in one forward pass: equal to automatic
         differentiation (tested), several times cheaper.
         """
+        if self._evaluator is not None:
+            value, gradient = self._evaluator.value_and_gradient(torch.stack((lateral, axial, bscan), dim=-1))
+            return value, gradient[:, 1]
         values, slopes = [lateral.new_zeros(0)], [lateral.new_zeros(0)]
         with torch.no_grad():
             for chunk in torch.stack((lateral, axial, bscan), dim=-1).split(self._chunk):
@@ -109,6 +153,8 @@ class NeuralField(DifferentiableField):
         return torch.cat(values), torch.cat(slopes)
 
     def _line_values(self, lateral: Tensor, bscan: Tensor, axial: Tensor) -> Tensor:
+        if self._evaluator is not None:
+            return super()._line_values(lateral, bscan, axial)
         return self._through_network(self.model.grid.forward_lines(lateral, bscan, axial))
 
     def _lattice_values(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> Tensor:

@@ -1,13 +1,25 @@
 """The compiled back end against the plain one: the same values and gradients for any shape of field."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
 
-from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig, NeuralModel
+from octn_ros.errors import ConfigurationError
+from octn_ros.field import (
+    FieldDescription,
+    HashGridConfig,
+    NetworkConfig,
+    NeuralField,
+    NeuralFieldConfig,
+    NeuralModel,
+)
 from octn_ros.field.compiled import model as compiled_model
 from octn_ros.field.compiled.evaluator import CompiledEvaluator
 from octn_ros.field.compiled.layers import PAD
+from octn_ros.volume import VolumeGeometry
 
 SHAPES = [(33, 57, 41), (2, 9, 64)]
 CONFIGS = [
@@ -117,3 +129,45 @@ def test_the_network_is_padded_and_the_table_shared():
     with torch.no_grad():
         model.grid.table.mul_(-1.0)
     assert evaluator.evaluate(point) != before
+
+
+def field_of(model, backend="auto"):
+    geometry = VolumeGeometry(SHAPES[0], (1e-5, 1e-5, 1e-5))
+    description = FieldDescription("neural", geometry, (0.0, 1.0), "log")
+    return NeuralField(model, NeuralFieldConfig(), description, backend)
+
+
+def test_a_field_answers_alike_through_either_back_end():
+    model = random_model(CONFIGS[1].values[0], SHAPES[0])
+    fast, plain = field_of(model), field_of(model, "torch")
+    assert (fast.backend, plain.backend) == ("compiled", "torch")
+    points = points_away_from_faces(model, 2001)
+    lateral, axial, bscan = points.T.contiguous()
+    depths = axial[:, None].repeat(1, 3)
+    for ask in (
+        lambda field: field.evaluate(points),
+        lambda field: field.value_and_gradient(points),
+        lambda field: field.axial_value_and_slope(lateral, axial, bscan),
+        lambda field: field.axial_lines(lateral, bscan, depths),
+        lambda field: field.lattice(lateral[:20], axial[:9], bscan[:3]),
+    ):
+        torch.testing.assert_close(ask(fast), ask(plain), rtol=1e-4, atol=2e-3)
+    assert fast.evaluate(points.requires_grad_(True)).requires_grad
+
+
+@pytest.mark.parametrize("kind", ["softplus", "float64"])
+def test_what_kernels_cannot_run_plain_torch_answers(kind):
+    network = NetworkConfig(1, 8, activation="softplus" if kind == "softplus" else "relu")
+    model = random_model(NeuralFieldConfig(HashGridConfig(levels=1), network), SHAPES[0])
+    if kind == "float64":
+        model = model.double()
+    assert field_of(model).backend == "torch"
+    with pytest.raises(ConfigurationError, match=r"compiled kernels.*(Softplus|float64)"):
+        field_of(model, "compiled")
+    with pytest.raises(ConfigurationError, match="expected one of auto, torch, compiled"):
+        field_of(model, "fortran")
+
+
+def test_importing_loads_no_compiler():
+    code = "import sys, octn_ros.field, octn_ros.training, octn_ros.query; assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
