@@ -7,6 +7,7 @@ from octn_ros.query.files import write_mesh, write_points
 from octn_ros.query.lattice import Lattice
 from octn_ros.query.mesh import SurfaceMesh, iso_surface
 from octn_ros.query.native_surface import native_surface
+from octn_ros.query.near_surface import NearSurface
 from octn_ros.query.regions import Box, EnfacePolygon, Region, Sphere, polygon
 from octn_ros.query.rendering import RenderConfig, Rendering, render
 from octn_ros.query.slice_spec import SliceImage, SliceSpec
@@ -21,6 +22,7 @@ __all__ = [
     "DistanceMap",
     "EnfacePolygon",
     "Lattice",
+    "NearSurface",
     "Plane",
     "Region",
     "RenderConfig",

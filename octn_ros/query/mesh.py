@@ -76,7 +76,8 @@ def iso_surface(
     Args:
         field: the field.
         level: the intensity, such as tau of the surface.
-        region: only the box around it is searched; None for the whole scan.
+        region: only triangles whose corners lie inside it, give or take half a lattice step, and only the box around it
+            is searched; None for the whole scan.
         step_m: metres between lattice points along every axis, None for the scan's own voxels.
         max_points: largest number of lattice points; each takes 4 bytes.
         progress: called with the share that is done, 0 to 1; what it raises ends the query.
@@ -107,6 +108,8 @@ def iso_surface(
     # (bscan, axial, lateral). To (x, y, z) = (lateral, bscan, axial) is an even permutation: the winding holds.
     found, faces, _, _ = marching_cubes(values, level, gradient_direction="ascent")
     vertices = _to_metres(lattice, found)
+    if region is not None:
+        vertices, faces = _within(region, vertices, faces)
     vertices, normals = _snap(field, vertices, level, lattice)
     if progress:
         progress(1.0)
@@ -119,6 +122,18 @@ def _to_metres(lattice: Lattice, index: NDArray[np.floating]) -> NDArray[np.floa
     # The last plane of a lattice may lie closer than a step, so coordinates are looked up rather than scaled.
     axes = ((x, index[:, 2]), (y, index[:, 0]), (z, index[:, 1]))
     return np.column_stack([np.interp(place, np.arange(len(axis)), axis) for axis, place in axes])
+
+
+def _within(
+    region: Region, vertices_m: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Keep the triangles whose three corners lie in a region, and the corners that these use."""
+    inside = region.contains(vertices_m[:, 0], vertices_m[:, 1], vertices_m[:, 2])
+    kept = faces[inside[faces].all(axis=1)]
+    used, numbers = np.unique(kept, return_inverse=True)
+    if not len(kept):
+        raise QueryError("iso_surface: expected a region that the surface passes through, got one without a triangle")
+    return vertices_m[used], numbers.reshape(kept.shape).astype(np.int32)
 
 
 def _snap(
