@@ -7,11 +7,18 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 _ITERATIONS = 4
+# An outlier deviates by more standard deviations of its neighbours than this.
+_SIGMAS = 4.5
 # Tukey's biweight keeps 95 % efficiency on normal noise with this many standard deviations.
 _TUKEY = 4.685
 _SCALE_OF_MAD = 1.4826
 # Directions in which half of the neighbours is asked where all of them disagree, as on either side of a cliff.
 _HALVES = 8
+
+
+def allowed_deviation(scatter: NDArray[np.float64], least: float, limit: float) -> NDArray[np.float64]:
+    """Return how far a point may lie off neighbours that scatter so much [N], all in one unit of length."""
+    return np.clip(_SIGMAS * scatter, least, limit)
 
 
 def deviation_from_neighbours(
@@ -20,6 +27,7 @@ def deviation_from_neighbours(
     shape_m: NDArray[np.float64],
     count: int,
     floor_m: float,
+    least_m: float,
     limit_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distance of depths from a plane through their neighbours, and the scatter of the neighbours about it.
@@ -35,7 +43,8 @@ def deviation_from_neighbours(
         shape_m: depths of the rougher surface [N].
         count: neighbours of each point.
         floor_m: scatter below which no neighbour is doubted.
-        limit_m: largest deviation with which another surface than the plane is believed.
+        least_m: deviation that is allowed in any case.
+        limit_m: deviation that is never allowed; see `allowed_deviation`.
 
     Returns:
         Deviation [N], signed, and scatter [N] as a standard deviation; infinite where the depth is not known.
@@ -51,7 +60,7 @@ def deviation_from_neighbours(
     away = places[near] - places[:, None]
     rise, other_rise = (values[near] - values[:, None] for values in (depth_m[known], (depth_m - shape_m)[known]))
     found, spread = _plane_at_centre(away, rise, np.ones(rise.shape), floor_m)
-    doubted = np.flatnonzero((np.abs(found) > np.clip(3.0 * spread, 0.25 * limit_m, limit_m)) | (spread > limit_m / 2))
+    doubted = np.flatnonzero((np.abs(found) > allowed_deviation(spread, least_m, limit_m)) | (spread > limit_m / 2))
     for side in [None, *range(_HALVES)] if len(doubted) else []:
         ask, differences, asked = doubted, other_rise[doubted], np.ones((len(doubted), count))
         if side is not None:
@@ -60,7 +69,7 @@ def deviation_from_neighbours(
             enough = there.sum(axis=1) >= 4
             ask, differences, asked = doubted[enough], rise[doubted[enough]], there[enough].astype(float)
         one, its_spread = _plane_at_centre(away[ask], differences, asked, floor_m)
-        better = (its_spread < spread[ask]) & (np.abs(one) <= limit_m)
+        better = (its_spread < spread[ask]) & (np.abs(one) <= allowed_deviation(its_spread, least_m, limit_m))
         found[ask[better]], spread[ask[better]] = one[better], its_spread[better]
     deviation[known], scatter[known] = -found, spread
     return deviation, scatter

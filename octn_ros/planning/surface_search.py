@@ -63,7 +63,7 @@ class SurfaceSearchConfig:
     convergence: float = setting(0.01, "|f - tau| / tau at which a waypoint is done", low=1e-6, high=0.5)
     tolerance: float = setting(0.05, "|f - tau| / tau above which a root is given up", low=1e-6, high=0.5)
     smoothness: float = setting(
-        0.05, "lambda of eq. 14, for depths in axial voxels", unit="1/voxel^2", low=0.0, high=1e6
+        0.07, "lambda of eq. 14, for depths in axial voxels", unit="1/voxel^2", low=0.0, high=1e6
     )
     leeway_voxels: float = setting(
         1.5, "how far the smooth path may leave the level set", unit="voxels", low=0.0, high=1000.0

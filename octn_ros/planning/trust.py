@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from octn_ros.planning.coarse_surface import CoarseSurface
 from octn_ros.planning.give_up import GiveUp
-from octn_ros.planning.neighbours import deviation_from_neighbours
+from octn_ros.planning.neighbours import allowed_deviation, deviation_from_neighbours
 from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry
 
 # Scatter of the neighbours, in axial voxels, below which none of them is doubted.
 _FLOOR_VOXELS = 0.2
-# An outlier deviates by this many standard deviations of its neighbours, but by so many axial voxels at least.
-_OUTLIER_SIGMAS, _SMALLEST_OUTLIER_VOXELS = 4.5, 0.75
+# Deviation from the neighbours, in axial voxels, that is no outlier's however little they scatter.
+_SMALLEST_OUTLIER_VOXELS = 0.75
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,11 @@ def judge(
         coarse * voxel,
         trust.neighbours,
         _FLOOR_VOXELS * voxel,
+        _SMALLEST_OUTLIER_VOXELS * voxel,
         trust.outlier_voxels * voxel,
     )
     deviation, scatter = deviation / voxel, scatter / voxel
-    limit = np.clip(_OUTLIER_SIGMAS * scatter, _SMALLEST_OUTLIER_VOXELS, trust.outlier_voxels)
+    limit = allowed_deviation(scatter, _SMALLEST_OUTLIER_VOXELS, trust.outlier_voxels)
     reason[(reason == GiveUp.KEPT) & ~(np.abs(deviation) <= limit)] = GiveUp.OUTLIER
     reason[(reason == GiveUp.KEPT) & ~(scatter <= trust.max_scatter_voxels)] = GiveUp.UNSTEADY
     confidence = np.clip(step, 0.0, 1.0) * np.clip(clearness, 0.0, 1.0) / (1.0 + scatter**2)
