@@ -9,8 +9,9 @@ from torch import Tensor, nn
 
 from octn_ros.settings import check_settings, setting
 
-# Sharpness of softplus, log(1 + exp(s x)) / s: tiny-cuda-nn's.
-_SHARPNESS = 10.0
+# Sharpness s of softplus, log(1 + exp(s x)) / s. tiny-cuda-nn's 10 fits 3 dB worse than ReLU, 50 within 1 dB
+# (docs/field.md): features begin near zero, where a softer bend is a straight line.
+_SHARPNESS = 50.0
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,7 @@ class NetworkConfig:
 
     activation: str = setting(
         "relu",
-        "activation of the hidden layers: relu as in the paper, or softplus (sharpness 10, as tiny-cuda-nn's), which "
-        "is smooth",
+        "activation of the hidden layers: relu as in the paper, or softplus (of sharpness 50), which is smooth",
         choices=("relu", "softplus"),
     )
 

@@ -36,7 +36,8 @@ def neural(config, seed=0, dtype=torch.float64, device="cpu"):
     model = NeuralModel(config, SHAPE)
     with torch.no_grad():
         model.grid.table.uniform_(-1, 1)
-    return NeuralField(model.to(device, dtype), config, FieldDescription.of_volume(volume(), "neural"))
+    description = FieldDescription.of_volume(volume(), "neural")
+    return NeuralField(model.to(device, dtype), config, description, backend="torch")
 
 
 def made(kind, device="cpu"):
