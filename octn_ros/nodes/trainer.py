@@ -282,7 +282,7 @@ class Trainer(Node):
     def _start_field(self, scan: Scan, config: FitConfig) -> NeuralField | None:
         """Return the last fitted field if a fit of this scan shall and can begin with it."""
         field, geometry = self._fitted, scan.volume.geometry
-        if field is None or not self._config.config().warm_start or field.config != config.field:
+        if field is None or not self._config.config().warm_start or field.config != config.field.for_volume(geometry):
             return None
         same = field.geometry.shape == geometry.shape and np.allclose(field.geometry.spacing_m, geometry.spacing_m)
         return field if same else None

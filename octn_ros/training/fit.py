@@ -14,7 +14,6 @@ from torch import nn
 from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, NeuralField, NeuralModel
 from octn_ros.settings import as_plain
-from octn_ros.training.changes import ChangedBlocks
 from octn_ros.training.config import FitConfig
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.training.held_in import HeldInVoxels, psnr_of_error, psnr_of_field
@@ -91,12 +90,10 @@ def fit(
     if start is not None:
         config = dataclasses.replace(config, field=start.config)
         model = _model_of(start, volume).to(device)
-        changed = ChangedBlocks(voxels, model)
-        focus = changed if changed.share > 0 else None
     else:
-        focus = None
+        config = dataclasses.replace(config, field=config.field.for_volume(volume.geometry))
         model = _seeded_model(config, volume, held_in.mean).to(device)
-    sampler = VoxelSampler(voxels, config.seed, focus)
+    sampler = VoxelSampler(voxels, config.seed)
     steps, seconds, history, ended = _train(model, voxels, sampler, held_in, config, progress or _ignore, is_cancelled)
     field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
     quality = math.nan if ended == "cancelled" else psnr_of_field(field, volume, cancelled=is_cancelled)

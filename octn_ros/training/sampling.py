@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -74,14 +73,6 @@ class ResidentVoxels:
         return total
 
 
-class Focus(Protocol):
-    """Says where in the volume to look more closely."""
-
-    def draw(self, count: int, generator: torch.Generator) -> Tensor:
-        """Return flat voxel numbers [count]."""
-        ...
-
-
 class VoxelSampler:
     """Draws native voxels and interpolated points with their intensities, uniformly and independently.
 
@@ -90,21 +81,15 @@ class VoxelSampler:
     Args:
         voxels: the C-scan.
         seed: start of the random sequence.
-        focus: draws half of the native voxels in the place of chance; None leaves them all to it, as Algorithm 1 does.
     """
 
-    def __init__(self, voxels: ResidentVoxels, seed: int, focus: Focus | None = None) -> None:
-        self._voxels, self._focus = voxels, focus
+    def __init__(self, voxels: ResidentVoxels, seed: int) -> None:
+        self._voxels = voxels
         self._generator = torch.Generator(device=voxels.device).manual_seed(seed)
 
     def discrete(self, count: int) -> tuple[Tensor, Tensor]:
         """Draw `count` voxels of the native grid: canonical points [count, 3] and measured intensities [count]."""
-        focused = count // 2 if self._focus is not None else 0
-        flat = torch.randint(
-            len(self._voxels), (count - focused,), generator=self._generator, device=self._voxels.device
-        )
-        if self._focus is not None:
-            flat = torch.cat((flat, self._focus.draw(focused, self._generator)))
+        flat = torch.randint(len(self._voxels), (count,), generator=self._generator, device=self._voxels.device)
         return self._voxels.points(flat), self._voxels.at(flat)
 
     def interpolated(self, count: int) -> tuple[Tensor, Tensor]:
