@@ -109,6 +109,9 @@ class DifferentiableField:
         description: where the field comes from.
     """
 
+    # Points evaluated at once without a graph; automatic differentiation keeps several times as much of each.
+    _chunk = CHUNK_POINTS
+
     def __init__(self, description: FieldDescription) -> None:
         self.description = description
         self.kind = description.kind
@@ -131,7 +134,7 @@ class DifferentiableField:
         """
         values, gradients = [points.new_zeros(0)], [points.new_zeros(0, 3)]
         with torch.enable_grad():
-            for chunk in points.detach().split(CHUNK_POINTS):
+            for chunk in points.detach().split(max(1, self._chunk // 4)):
                 chunk = chunk.clone().requires_grad_(True)
                 value = self.evaluate(chunk)
                 (gradient,) = torch.autograd.grad(value.sum(), chunk)
@@ -148,7 +151,7 @@ class DifferentiableField:
         values = [points.new_zeros(0)]
         gradients, hessians = [points.new_zeros(0, 3)], [points.new_zeros(0, 3, 3)]
         with torch.enable_grad():
-            for chunk in points.detach().split(CHUNK_POINTS // 4):
+            for chunk in points.detach().split(max(1, self._chunk // 8)):
                 chunk = chunk.clone().requires_grad_(True)
                 value = self.evaluate(chunk)
                 (gradient,) = torch.autograd.grad(value.sum(), chunk, create_graph=True)
