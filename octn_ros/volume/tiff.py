@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,7 @@ def checked_pages(tif: tifffile.TiffFile, size: int, request: ReadRequest) -> li
         pages.append(page)
     if not pages:
         raise VolumeError("expected a TIFF file with a page for each B-scan, got no page")
+    _check_end(tif, pages[-1])
     first = pages[0]
     assert first.dtype is not None  # _check_page has seen to it
     request.limit.check_array((len(pages), *first.shape), first.dtype, size, compressed=first.compression != 1)
@@ -128,6 +130,17 @@ def _check_page(page: tifffile.TiffPage, index: int, size: int) -> None:
         raise VolumeError(f"page {index}: its pixels lie outside the file; it is damaged or truncated")
     if page.compression == 1 and sum(counts) < page.nbytes:
         raise VolumeError(f"page {index}: expected {page.nbytes:,} bytes of pixels, the file has {sum(counts):,}")
+
+
+def _check_end(tif: tifffile.TiffFile, last: tifffile.TiffPage) -> None:
+    """Refuse a chain of pages that ends because the next one lies outside the file: B-scans would be missing."""
+    form, file = tif.tiff, tif.filehandle
+    file.seek(last.offset)
+    (tags,) = struct.unpack(form.tagnoformat, file.read(form.tagnosize))
+    file.seek(last.offset + form.tagnosize + tags * form.tagsize)
+    following = file.read(form.offsetsize)
+    if following.strip(b"\0") or len(following) < form.offsetsize:
+        raise VolumeError("the chain of pages leads outside the file; it is damaged or truncated")
 
 
 def _check_segments(tif: tifffile.TiffFile, page: tifffile.TiffPage) -> None:

@@ -12,6 +12,7 @@ import io
 import json
 import re
 import resource
+import struct
 import sys
 import warnings
 from collections.abc import Callable
@@ -77,9 +78,25 @@ def _topcon(scan: Any) -> tuple[NDArray[Any], tuple[float, float, float] | None]
 
 
 def _heidelberg(library: Any, path: Path, variable: str | None) -> tuple[NDArray[Any], None]:
+    _check_directories(path)
     scans = library.E2E(path).read_oct_volume()
     # The library's lateral and B-scan spacings are defaults of its own: never taken.
     return _chosen({str(scan.volume_id): np.stack(scan.volume) for scan in scans}, variable), None
+
+
+def _check_directories(path: Path) -> None:
+    """Refuse a file whose directories run in a circle, in which the library would follow them for ever."""
+    with path.open("rb") as file:
+        start = 64 if file.read(21) == b"E2EMultipleVolumeFile" else 0
+        file.seek(start + 36)  # behind the header; every directory ends with its place, the one before it and a number
+        place = struct.unpack("<I", file.read(52)[40:44])[0]
+        seen: set[int] = set()
+        while place:
+            if place in seen:
+                raise ValueError("its directories run in a circle")
+            seen.add(place)
+            file.seek(start + place)
+            place = struct.unpack("<I", file.read(52)[44:48])[0]
 
 
 def _bioptigen_or_optovue(library: Any, path: Path, variable: str | None) -> tuple[NDArray[Any], None]:

@@ -33,7 +33,7 @@ def check(results, count):
 
 
 def test_a_sample_of_damaged_files(tmp_path):
-    check(read_damaged(tmp_path, 0, 170, 1, timeout_s=110), 170)
+    check(read_damaged(tmp_path, 0, 150, 1, timeout_s=110), 150)
 
 
 @pytest.mark.slow

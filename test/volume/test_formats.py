@@ -131,6 +131,26 @@ def test_dots_per_inch_are_no_spacing(tmp_path):
         load_volume(tmp_path / "scan.tif")
 
 
+@pytest.mark.parametrize(
+    "options",
+    [{"photometric": "minisblack"}, {"imagej": True}, {"ome": True}, {"bigtiff": True, "photometric": "minisblack"}],
+)
+def test_a_truncated_tiff_never_has_fewer_bscans(tmp_path, options):
+    path = tmp_path / "scan.tif"
+    tifffile.imwrite(path, voxels(), metadata={"axes": "ZYX"}, **options)
+    whole = path.read_bytes()
+    refused = 0
+    for length in range(8, len(whole), 11):
+        path.write_bytes(whole[:length])
+        try:
+            volume = load_volume(path, SPACING_UM)
+        except VolumeError:
+            refused += 1
+        else:  # what was cut off holds no voxels, a description for instance
+            check(volume, voxels())
+    assert refused > 0
+
+
 def test_tiff_pages_have_to_be_alike_and_grey(tmp_path):
     with tifffile.TiffWriter(tmp_path / "scan.tif") as writer:
         for bscan in (*voxels(), np.zeros((5, 7), np.uint16)):
