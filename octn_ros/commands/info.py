@@ -11,7 +11,7 @@ from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 from octn_ros.commands.reading import FILE_HELP, Reading, add_reading, reading
 
-_BAR_LENGTH = 40
+_BAR_LENGTH = 30  # so that a line fits a terminal of 80 columns
 
 
 @dataclass(frozen=True)
