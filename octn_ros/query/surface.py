@@ -31,6 +31,13 @@ class SurfaceMapConfig:
     consensus_ascans: int = setting(
         5, "side of the window of A-scans whose median depth an A-scan is held against, 1 for none", low=1, high=31
     )
+    consensus_sigma_ascans: float = setting(
+        2.0,
+        "Gaussian over neighbouring A-scans before that median is taken, at most as wide as consensus_voxels are deep; "
+        "0 for none",
+        low=0.0,
+        high=31.0,
+    )
     consensus_voxels: float = setting(
         5.0, "an A-scan further than this from the median is searched again within it", unit="voxels", low=1.0
     )
@@ -46,6 +53,8 @@ class SurfaceMapConfig:
             words.append(f"after an axial Gaussian of {self.axial_sigma_voxels:g} voxel")
         if self.consensus_ascans > 1:
             words.append(f"within {self.consensus_voxels:g} voxels of the median of {self.consensus_ascans}^2 A-scans")
+            if self.consensus_sigma_ascans > 0:
+                words.append(f"after a Gaussian over up to {self.consensus_sigma_ascans:g} of them")
         return " ".join(words)
 
 
@@ -122,7 +131,14 @@ def surface_map(
         _canonical(np.arange(axials), axials, field.device),
         _canonical(bscan_index, bscans, field.device),
     )
-    depth_index, confidence = _largest_rise(profiles.cpu().numpy(), config)
+    steps_m = (
+        (bscan_index[1] - bscan_index[0]) * geometry.spacing_m[0],
+        (lateral_index[1] - lateral_index[0]) * geometry.spacing_m[2],
+    )
+    # Over a wider way a slope of 45 degrees would leave the consensus, and the Gaussian would blur it away.
+    widest_m = config.consensus_voxels * geometry.spacing_m[1]
+    row_sigma, column_sigma = (min(config.consensus_sigma_ascans, widest_m / step) for step in steps_m)
+    depth_index, confidence = _largest_rise(profiles.cpu().numpy(), config, (row_sigma, column_sigma))
     index = np.stack(np.broadcast_arrays(bscan_index[:, None], depth_index, lateral_index[None, :]), axis=-1)
     points = geometry.voxel_to_canonical(index).reshape(-1, 3).astype(np.float32)
     with torch.no_grad():
@@ -175,7 +191,7 @@ def _canonical(index: NDArray[np.number], count: int, device: torch.device) -> t
 
 
 def _largest_rise(
-    profiles: NDArray[np.float32], config: SurfaceMapConfig
+    profiles: NDArray[np.float32], config: SurfaceMapConfig, sigma_ascans: tuple[float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Find the surface in profiles [bscan, axial, lateral]: fractional axial index and confidence [bscan, lateral]."""
     if config.axial_sigma_voxels > 0:
@@ -184,7 +200,7 @@ def _largest_rise(
     best = np.argmax(rise, axis=-1)
     depth = np.arange(rise.shape[-1])
     if config.consensus_ascans > 1:
-        _follow_neighbours(best, rise, config)
+        _follow_neighbours(best, rise, config, sigma_ascans)
     peak = np.take_along_axis(rise, best[..., None], axis=-1)
     if not np.max(peak) > _SMALLEST_RISE:
         raise QueryError(
@@ -198,10 +214,17 @@ def _largest_rise(
     return best + _parabola_vertex(rise, best), confidence
 
 
-def _follow_neighbours(best: NDArray[np.intp], rise: NDArray[np.float32], config: SurfaceMapConfig) -> None:
+def _follow_neighbours(
+    best: NDArray[np.intp], rise: NDArray[np.float32], config: SurfaceMapConfig, sigma_ascans: tuple[float, float]
+) -> None:
     """Move, in place, A-scans far from the median of their neighbours to the largest rise near it, if one is there."""
     typical = np.median(np.max(rise, axis=-1))
-    agreed = ndimage.median_filter(best, size=config.consensus_ascans, mode="nearest")
+    agreed = best
+    if config.consensus_sigma_ascans > 0:
+        # Speckle of neighbouring A-scans averages out where the surface's rise, common to them, does not.
+        steady = ndimage.gaussian_filter(rise, sigma_ascans, axes=(0, 1), mode="nearest")
+        agreed = np.argmax(steady, axis=-1)
+    agreed = ndimage.median_filter(agreed, size=config.consensus_ascans, mode="nearest")
     rows, columns = np.nonzero(np.abs(best - agreed) > config.consensus_voxels)
     profile, median = rise[rows, columns], agreed[rows, columns, None]
     near = np.abs(np.arange(rise.shape[-1]) - median) <= config.consensus_voxels

@@ -4,7 +4,8 @@ import pytest
 from octn_ros.errors import ConfigurationError, QueryError
 from octn_ros.field import InterpolatedField
 from octn_ros.query import SurfaceMapConfig, surface_intensity, surface_map
-from octn_ros.volume import Volume, VolumeGeometry
+from octn_ros.simulation import make_phantom, named_phantom
+from octn_ros.volume import Volume, VolumeGeometry, gaussian_filter
 
 SPACING_M = (28e-6, 14.59e-6, 14e-6)
 AIR, TISSUE = 0.1, 0.7
@@ -109,3 +110,36 @@ def test_settings_are_checked():
         SurfaceMapConfig(max_ascans=1)
     with pytest.raises(ConfigurationError, match="axial_sigma_voxels: expected a finite number"):
         SurfaceMapConfig(axial_sigma_voxels=float("nan"))
+
+
+def phantom_error_um(phantom, volume, **settings):
+    surface = surface_map(InterpolatedField(volume), SurfaceMapConfig(**settings))
+    truth_m = phantom.surface_depth_m(surface.lateral_m, surface.bscan_m[:, None])
+    return (surface.depth_m - truth_m) * 1e6, surface.confidence
+
+
+@pytest.mark.parametrize("name", ["flat+0.25", "tilted30", "steep45", "wavy", "stepped", "motion"])
+def test_the_surface_of_a_phantom_lies_where_it_is(name):
+    phantom = make_phantom(named_phantom(name, shape=(32, 192, 40), speckle="averaged"))
+    error, confidence = phantom_error_um(phantom, phantom.volume)
+    # The steepest place of a log-compressed edge lies above the interface, by as much everywhere.
+    assert -14.0 < np.median(error) < 0.0
+    assert np.sqrt(np.mean((error - np.median(error)) ** 2)) < 0.3 * 14.59
+    assert np.median(confidence) > 0.6
+
+
+def test_neighbours_outvote_speckle_on_raw_voxels_and_confidence_says_how_it_is():
+    phantom = make_phantom(named_phantom("tilted30", shape=(48, 192, 48), speckle="single-look", snr_db=13.0))
+
+    def lost(**settings):
+        error, confidence = phantom_error_um(phantom, phantom.volume, **settings)
+        return np.mean(np.abs(error) > 75.0), np.median(confidence)
+
+    share, confidence = lost()
+    assert share < 0.03
+    assert lost(consensus_sigma_ascans=0.0)[0] > 3 * share
+    assert lost(consensus_ascans=1)[0] > 0.4
+    assert confidence < 0.1
+    smooth, sure = phantom_error_um(phantom, gaussian_filter(phantom.volume, 1.0))
+    assert np.abs(smooth - np.median(smooth)).max() < 30.0
+    assert np.median(sure) > 0.5
