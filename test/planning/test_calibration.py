@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from octn_ros.errors import CalibrationError
-from octn_ros.planning import Calibration, calibration_from_dict, load_calibration
+from octn_ros.planning import Calibration, calibration_from_dict, load_calibration, quaternions_xyzw
 
 SHIPPED = Path(__file__).parents[2] / "config" / "calibration.yaml"
 
@@ -33,6 +33,38 @@ def test_small_deviation_is_mended_and_reported(content):
     np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
 
 
+def test_translation_and_quaternion_are_the_same_as_a_matrix(content):
+    matrix = calibration_from_dict(content)
+    for name in ("oct2ee", "laser2ee"):
+        pose = getattr(matrix, name)
+        content[name] = {
+            "translation_m": pose[:3, 3].tolist(),
+            "quaternion_xyzw": quaternions_xyzw(pose[None])[0].tolist(),
+        }
+    both = calibration_from_dict(content)
+    np.testing.assert_allclose(both.oct2ee, matrix.oct2ee, atol=1e-12)
+    np.testing.assert_allclose(both.laser2ee, matrix.laser2ee, atol=1e-12)
+
+
+def test_the_length_of_a_quaternion_is_its_deviation(content):
+    content["oct2ee"] = {"translation_m": [0, 0, 0], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0008]}
+    calibration = calibration_from_dict(content)
+    assert calibration.deviation == pytest.approx(8e-4, rel=1e-3)
+    np.testing.assert_allclose(calibration.oct2ee, np.eye(4), atol=1e-12)
+    content["oct2ee"]["quaternion_xyzw"] = [0.0, 0.0, 0.0, 1.002]
+    with pytest.raises(CalibrationError, match=r"oct2ee: .* of unit length"):
+        calibration_from_dict(content)
+
+
+def test_residuals_travel_with_a_calibration(content):
+    assert calibration_from_dict(content).residual_rms_m == {}
+    content["residual_rms_m"] = {"oct2ee": 1.2e-5}
+    calibration = calibration_from_dict(content)
+    assert calibration.residual_rms_m == {"oct2ee": 1.2e-5}
+    with pytest.raises(TypeError):
+        calibration.residual_rms_m["oct2ee"] = 0.0
+
+
 def test_a_calibration_cannot_be_changed(content):
     calibration = calibration_from_dict(content)
     with pytest.raises(ValueError, match="read-only"):
@@ -57,6 +89,12 @@ def scaled(rows):
         (lambda c: c.update(oct2ee="identity"), "expected four rows of four numbers"),
         (lambda c: c["oct2ee"].pop(), "oct2ee: expected a transform of 4x4"),
         (lambda c: c["oct2ee"][1].pop(), "oct2ee: expected a transform of 4x4"),
+        (lambda c: c.update(oct2ee={"translation_m": [0, 0, 0]}), "translation_m and quaternion_xyzw"),
+        (lambda c: c.update(oct2ee={"translation_m": [0, 0], "quaternion_xyzw": [0, 0, 0, 1]}), "3 . 4 numbers"),
+        (lambda c: c.update(oct2ee={"translation_m": [0, 0, "1e-3"], "quaternion_xyzw": [0, 0, 0, 1]}), "1.0e-3"),
+        (lambda c: c.update(residual_rms_m={"probe": 1e-5}), "residual_rms_m: expected metres"),
+        (lambda c: c.update(residual_rms_m={"oct2ee": -1e-5}), "residual_rms_m: expected metres"),
+        (lambda c: c.update(residual_rms_m=1e-5), "residual_rms_m: expected metres"),
         (lambda c: c.update(ee_frame=""), "ee_frame: expected the name of a frame"),
         (lambda c: c.update(base_frame=7), "base_frame: expected the name of a frame, got 7"),
     ],
