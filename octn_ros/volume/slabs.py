@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from octn_ros.errors import VolumeError
 
 _SLAB_BYTES = 2**24
+_READ_BYTES = 2**20  # gzip makes a copy of what it is asked for
 
 
 def read_fortran_order(
@@ -44,7 +45,7 @@ def read_fortran_order(
 
 def _fill(file: BinaryIO, view: memoryview) -> None:
     while len(view):
-        count = file.readinto(view)  # type: ignore[attr-defined]
+        count = file.readinto(view[:_READ_BYTES])  # type: ignore[attr-defined]
         if not count:
             raise VolumeError(f"the file is damaged or truncated: {len(view):,} bytes of voxels are missing")
         view = view[count:]
