@@ -53,7 +53,12 @@ class InterpolatedField(DifferentiableField):
         return torch.cat([self._value(self.geometry.canonical_to_voxel(chunk.clamp(-1.0, 1.0))) for chunk in chunks])
 
     def value_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return intensities [N] and their exact gradients [N, 3] by canonical position, in closed form."""
+        """Return intensities [N] and their exact gradients [N, 3] by canonical position; the graph is not kept.
+
+        Of a spline in closed form; a trilinear point is so cheap that automatic differentiation is quicker.
+        """
+        if self.description.order == "trilinear":
+            return super().value_and_gradient(points)
         values, gradients = [], []
         for chunk in points.detach().split(_CHUNK // 4):
             by_index = self._by_index(chunk, highest=1)
@@ -76,7 +81,7 @@ class InterpolatedField(DifferentiableField):
         points = torch.stack((lateral, axial, bscan), dim=-1).detach()
         for chunk in points.split(_CHUNK):
             index = self.geometry.canonical_to_voxel(chunk.clamp(-1.0, 1.0))
-            value, slope = self._spline.axial_value_and_slope(*index.unbind(-1))
+            value, slope = self._axial(index)
             values.append(value)
             slopes.append(slope * (chunk[:, 1].abs() <= 1.0))
         return torch.cat(values), torch.cat(slopes) * (0.5 * (self.geometry.shape[1] - 1))
@@ -85,6 +90,12 @@ class InterpolatedField(DifferentiableField):
         if self.description.order == "cubic":
             return self._spline.value(index)
         return interpolate_voxels(self._spline.coefficients, index)
+
+    def _axial(self, index: Tensor) -> tuple[Tensor, Tensor]:
+        if self.description.order == "cubic":
+            return self._spline.axial_value_and_slope(*index.unbind(-1))
+        near, far, fraction = _axial_faces(self._spline.coefficients, index)
+        return near + (far - near) * fraction, far - near
 
     def _derivatives(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         by_index, rate = self._by_index(points, highest=2), self._rate(points)
@@ -125,20 +136,26 @@ def interpolate_voxels(voxels: Tensor, index: Tensor) -> Tensor:
 
     Differentiable in both; any device.
     """
-    last = torch.tensor(voxels.shape, device=voxels.device) - 2
-    cell = torch.minimum(index.detach().floor().long().clamp(min=0), last)
-    fraction = index - cell
+    near, far, fraction = _axial_faces(voxels, index)
+    return near + (far - near) * fraction
+
+
+def _axial_faces(voxels: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the bilinear values [N] in the near and far axial face of each point's cell, and its axial fraction."""
+    cells, fractions = [], []
+    for axis, length in enumerate(voxels.shape):
+        cell = index[:, axis].detach().floor().long().clamp(0, length - 2)
+        cells.append(cell)
+        fractions.append(index[:, axis] - cell)
     strides = voxels.stride()
-    first = cell[:, 0] * strides[0] + cell[:, 1] * strides[1] + cell[:, 2] * strides[2]
+    first = cells[0] * strides[0] + cells[1] * strides[1] + cells[2] * strides[2]
     flat = voxels.view(-1)
-    total = torch.zeros_like(fraction[:, 0])
-    for d in (0, 1):
-        for h in (0, 1):
-            for w in (0, 1):
-                share = _share(fraction[:, 0], d) * _share(fraction[:, 1], h) * _share(fraction[:, 2], w)
-                total = total + share * flat[first + (d * strides[0] + h * strides[1] + w * strides[2])]
-    return total
 
+    def face(start: Tensor) -> Tensor:
+        rows = []
+        for corner in (start, start + strides[0]):
+            left, right = flat[corner], flat[corner + strides[2]]
+            rows.append(left + (right - left) * fractions[2])
+        return rows[0] + (rows[1] - rows[0]) * fractions[0]
 
-def _share(fraction: Tensor, side: int) -> Tensor:
-    return fraction if side else 1.0 - fraction
+    return face(first), face(first + strides[1]), fractions[1]
