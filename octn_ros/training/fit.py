@@ -125,8 +125,6 @@ def _train(
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=(0.9, 0.99), eps=1e-15, fused=True)
     guard = DivergenceGuard(model, held_in.variance)
     period = HeldInVoxels.period(config.batch)
-    error = held_in.mean_squared_error(model)
-    guard.keep(0, error)
     noise = noise_variance(voxels) if config.stop_at_noise else -1.0
     schedule = Schedule(config)
     tally = ProgressTally(config, schedule)
@@ -137,13 +135,19 @@ def _train(
             history.append(report)
             progress(report)
 
-    step = 0
+    def reached() -> Ended | None:
+        guard.keep(step, error)
+        if config.target_psnr_db > 0 and psnr_of_error(error) >= config.target_psnr_db:
+            return "target"
+        return "noise level" if error <= noise else None
+
+    step, error = 0, held_in.mean_squared_error(model)
     stage: Stage = "hybrid"
-    ended: Ended = "steps"
-    while step < config.steps:
+    ended: Ended | None = reached()
+    while ended is None:
         fraction = schedule.fraction(step)
         if fraction >= 1.0:
-            ended = "time"
+            ended = "steps" if step == config.steps else "time"
             break
         stage = schedule.stage(step + 1)
         loss = _step(model, optimizer, sampler, config, schedule.learning_rate(fraction), stage, cancelled)
@@ -155,17 +159,11 @@ def _train(
             ended = "diverged"
             break
         tally.add(loss)
-        if step % period == 0:
+        if step % period == 0 or step == config.steps:
             error = held_in.mean_squared_error(model)
-            guard.keep(step, error)
-            if config.target_psnr_db > 0 and psnr_of_error(error) >= config.target_psnr_db:
-                ended = "target"
-                break
-            if error <= noise:
-                ended = "noise level"
-                break
-        tell(tally.report(step, stage, psnr_of_error(error)))
-    if ended not in ("cancelled", "diverged"):
+            ended = reached()
+        tell(tally.report(step, stage, psnr_of_error(error), last=ended is not None or step == config.steps))
+    if ended in ("steps", "time", "target", "noise level"):
         error = held_in.mean_squared_error(model)
         ended = ended if math.isfinite(error) else "diverged"
     seconds = schedule.seconds

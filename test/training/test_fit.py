@@ -90,6 +90,19 @@ def test_the_same_seed_gives_the_same_field(volume):
     assert not torch.equal(first["grid.table"], other["grid.table"])
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_same_seed_gives_the_same_field_with_any_number_of_threads(volume, threads):
+    # Large enough for torch to split the work; between 1 and 2 threads sums differ in their last digits.
+    config = dataclasses.replace(SMALL, steps=4, batch=1 << 15)
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(threads)
+        fields = [fit(volume, config).field.model.state_dict() for _ in range(2)]
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(fields[0][name], fields[1][name]) for name in fields[0])
+
+
 def test_a_fit_can_be_cancelled(volume):
     asked = iter([False] * 6 + [True])  # twice in every step
     result = fit(volume, SMALL, cancelled=lambda: next(asked))
