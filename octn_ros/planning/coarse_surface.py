@@ -18,6 +18,8 @@ from octn_ros.settings import check_settings, setting
 
 # Neighbours are shifted onto each other by their depths, from which better depths follow.
 _ALIGNMENTS = 2
+# A step counts from this share of the strongest in its A-scan.
+_CREDIBLE = 0.35
 # A step below this is rounding, not a surface.
 _SMALLEST_STEP = 1e-6
 
@@ -139,9 +141,11 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
 
     levels = StepLevels.of(ascans, config.window_m / geometry.spacing_m[1], window)
     place, strength = levels.candidates(config.candidates)
-    strongest = np.take_along_axis(place, strength.argmax(axis=-1)[..., None], axis=-1)
-    usual_air = np.median(np.take_along_axis(levels.above, strongest, axis=-1))
-    usual = max(float(np.median(strength.max(axis=-1))), _SMALLEST_STEP)
+    # Air is what lies above the first step that counts, whatever is brighter in the depth.
+    counts = strength >= _CREDIBLE * strength.max(axis=-1, keepdims=True)
+    first = np.where(counts, place, ascans.shape[-1]).argmin(axis=-1)[..., None]
+    usual_air = np.median(np.take_along_axis(levels.above, np.take_along_axis(place, first, axis=-1), axis=-1))
+    usual = max(float(np.median(np.take_along_axis(strength, first, axis=-1))), _SMALLEST_STEP)
     # Where it is brighter above than air is, a step is one inside the tissue, or there is glare.
     bright = (np.take_along_axis(levels.above, place, axis=-1) - usual_air) / usual
     strength = strength * np.clip(1.0 - bright, 0.0, 1.0)

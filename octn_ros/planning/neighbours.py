@@ -88,13 +88,14 @@ def _plane_at_centre(
     # Points on one line leave the slope across it open; zero then.
     ridge = 1e-6 * np.eye(basis.shape[-1])
     ridge[0, 0] = 1e-12
-    asked = np.where(ask > 0, 1.0, np.nan)
+    everyone, asked = bool((ask > 0).all()), np.where(ask > 0, 1.0, np.nan)
     for _ in range(_ITERATIONS):
         weighted = basis * weight[..., None]
-        normal = np.einsum("nki,nkj->nij", weighted, basis) + ridge
-        plane = np.linalg.solve(normal, np.einsum("nki,nk->ni", weighted, difference)[..., None])[..., 0]
-        residual = difference - np.einsum("nki,ni->nk", basis, plane)
-        spread = _SCALE_OF_MAD * np.nanmedian(np.abs(residual) * asked, axis=1)
+        across = weighted.transpose(0, 2, 1)
+        plane = np.linalg.solve(across @ basis + ridge, across @ difference[..., None])
+        residual = difference - (basis @ plane)[..., 0]
+        size = np.abs(residual)
+        spread = _SCALE_OF_MAD * (np.median(size, axis=1) if everyone else np.nanmedian(size * asked, axis=1))
         reach = _TUKEY * np.maximum(spread, floor)
         weight = ask * np.maximum(1.0 - (residual / reach[:, None]) ** 2, 0.0) ** 2
-    return plane[:, 0], spread
+    return plane[:, 0, 0], spread

@@ -46,7 +46,7 @@ class StepLevels:
         total = np.concatenate([np.zeros_like(total[..., :1]), total], axis=-1)
         mean = ((total[..., box:] - total[..., :-box]) / box).astype(np.float32)
         boxes = [mean[..., pad + n * box : pad + n * box + count + 1] for n in range(-_BOXES, _BOXES)]
-        above, below = _ranked(boxes[:_BOXES], _BOXES // 2), _ranked(boxes[_BOXES:], 1)
+        above, below = _median_of_five(boxes[:_BOXES]), _second_lowest(boxes[_BOXES:])
         step, rise = np.maximum(below - above, 0.0), np.maximum(boxes[_BOXES] - boxes[_BOXES - 1], 0.0)
         near = mean[..., pad - box // 2 : pad - box // 2 + count]
         return cls(above, below, np.sqrt(step * rise), near, box)
@@ -109,5 +109,16 @@ def aligned_steps(
     return place + (fine - reach), above, below
 
 
-def _ranked(boxes: list[NDArray[np.float32]], rank: int) -> NDArray[np.float32]:
-    return np.partition(np.stack(boxes, axis=-1), rank, axis=-1)[..., rank]
+def _second_lowest(boxes: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    lowest, second = np.minimum(boxes[0], boxes[1]), np.maximum(boxes[0], boxes[1])
+    for box in boxes[2:]:
+        second = np.minimum(second, np.maximum(lowest, box))
+        lowest = np.minimum(lowest, box)
+    return second
+
+
+def _median_of_five(boxes: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    a, b, c, d, e = boxes
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    return np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e))

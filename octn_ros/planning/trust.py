@@ -35,7 +35,7 @@ class TrustConfig:
     )
     neighbours: int = setting(24, "waypoints around it whose plane it is held against", low=4, high=200)
     outlier_voxels: float = setting(
-        2.5, "largest distance along the beam from that plane, where the neighbours scatter; less where they do not",
+        2.25, "largest distance along the beam from that plane, where the neighbours scatter; less where they do not",
         unit="voxels", low=0.1, high=1000.0,
     )  # fmt: skip
     max_scatter_voxels: float = setting(
