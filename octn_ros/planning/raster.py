@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from octn_ros.errors import PlanError
 from octn_ros.planning.region import Region, rectangle_region
-from octn_ros.planning.scanline import NOTHING_M
+from octn_ros.planning.scanline import EMPTY_M
 from octn_ros.settings import check_settings, setting
 
 MAX_WAYPOINTS = 1_000_000
@@ -138,8 +138,8 @@ def raster_pattern(region: Region, config: RasterConfig | None = None, depth_m: 
 def _run(
     region: Region, v: float, u0: float, u1: float, spacing: float, depth_m: DepthAt | None
 ) -> NDArray[np.float64]:
-    """Spread waypoints over one stretch of a line, ends included; one waypoint where it is shorter than nothing."""
-    if u1 - u0 < 2 * NOTHING_M:
+    """Spread waypoints over one stretch of a line, ends included; one where it is a mere corner, not to fire twice."""
+    if u1 - u0 < 0.5 * EMPTY_M:
         return region.to_xy(np.array([0.5 * (u0 + u1)]), np.array([v]))
     if depth_m is None:
         u = np.linspace(u0, u1, int(_count(u1 - u0, spacing)))

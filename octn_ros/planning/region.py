@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from octn_ros.errors import PlanError
-from octn_ros.planning.scanline import NOTHING_M, Spans, clipped_lines
+from octn_ros.planning.scanline import EMPTY_M, NOTHING_M, Spans, clipped_lines
 
 MAX_VERTICES = 1000
 _BORDER_SAMPLES, _BISECTIONS = 256, 50
@@ -136,7 +136,7 @@ def rectangle_corners(corner_m: ArrayLike, opposite_corner_m: ArrayLike, angle_r
     second = np.array([-first[1], first[0]])
     diagonal = opposite - corner
     along, across = float(diagonal @ first), float(diagonal @ second)
-    if min(abs(along), abs(across)) < NOTHING_M:
+    if min(abs(along), abs(across)) < EMPTY_M:
         raise PlanError(
             f"expected a raster rectangle with two sides, got {abs(along) * 1e3:.6g} x {abs(across) * 1e3:.6g} mm "
             f"between ({corner[0] * 1e3:.3f}, {corner[1] * 1e3:.3f}) mm and "

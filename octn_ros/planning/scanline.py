@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-# Below a nanometre a rectangle is empty and a difference is rounding.
+# Below a nanometre a difference is rounding; a rectangle with a side shorter than ten of them is empty.
 NOTHING_M = 1e-9
+EMPTY_M = 10 * NOTHING_M
 
 Spans = list[NDArray[np.float64]]
 
