@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,7 +32,8 @@ class SurfaceCommand:
         output: the file of the map's points (.ply, .csv, .npz) or of the mesh (.ply, .stl, .npz).
         tau: intensity of the surface; None to estimate it from the map.
         mesh: find the mesh f = tau instead of the map.
-        region: only the mesh inside the box around it, None for the whole scan; the map has the box's sides.
+        region: only the surface inside it, None for the whole scan; of a map, inside the rectangle around it.
+        within_um: only the mesh this close to the map, along the beam; infinity for all of f = tau, speckle too.
         step_um: distance of the mesh's lattice points, None for the scan's own voxels.
         ascans: largest number of A-scans of the map, None for the default.
         distance: an .npz file for the signed distance to the mesh, or None.
@@ -45,6 +47,7 @@ class SurfaceCommand:
     tau: float | None = None
     mesh: bool = False
     region: Region | None = None
+    within_um: float = 100.0
     step_um: float | None = None
     ascans: int | None = None
     distance: Path | None = None
@@ -74,7 +77,7 @@ class SurfaceCommand:
         values = _describe(surface, self.tau) | {"surface_s": time.perf_counter() - began, "field": field.kind}
         if self.mesh:
             with terminal.ProgressBar() as bar:
-                values |= self._write_mesh(field, values["tau"], lambda share: bar.show("meshing", share))
+                values |= self._write_mesh(field, surface, values["tau"], lambda share: bar.show("meshing", share))
         else:
             _write_map(self.output, surface, field)
         if self.picture is not None:
@@ -97,16 +100,20 @@ class SurfaceCommand:
         (x0, y0, _), (x1, y1, _) = self.region.bounds_m()
         return surface_map(field, config, lateral_range_m=(x0, x1), bscan_range_m=(y0, y1))
 
-    def _write_mesh(self, field: Field, tau: float, progress: Progress) -> dict[str, Any]:
+    def _write_mesh(self, field: Field, surface: SurfaceMap, tau: float, progress: Progress) -> dict[str, Any]:
         import numpy as np
 
-        from octn_ros.query import iso_surface, signed_distance, write_mesh
+        from octn_ros.query import NearSurface, iso_surface, signed_distance, write_mesh
 
+        region = self.region
+        if self.within_um != math.inf:
+            near = NearSurface(surface, self.within_um * 1e-6, self.within_um * 1e-6)
+            region = near if region is None else near & region
         step_m = None if self.step_um is None else self.step_um * 1e-6
         if self.distance is None:
-            mesh = iso_surface(field, tau, self.region, step_m, progress=progress)
+            mesh = iso_surface(field, tau, region, step_m, progress=progress)
         else:
-            found = signed_distance(field, tau, self.region, step_m, progress=progress)
+            found = signed_distance(field, tau, region, step_m, progress=progress)
             mesh = found.mesh
             try:
                 with self.distance.open("wb") as file:
@@ -151,6 +158,13 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--tau", type=float, metavar="T", help="intensity of the surface; default: the map's median")
     add_regions(parser)
     parser.add_argument("--ascans", type=int, metavar="N", help="largest number of A-scans of the map")
+    parser.add_argument(
+        "--within-um",
+        type=float,
+        default=100.0,
+        metavar="W",
+        help="only the mesh this close to the map, default 100; inf for all of f = tau",
+    )
     parser.add_argument("--step-um", type=float, metavar="S", help="distance of the mesh's lattice points")
     parser.add_argument("--distance", type=Path, metavar="FILE", help="write signed distances to the mesh, .npz")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw depth and confidence into this .png")
@@ -165,6 +179,7 @@ def _read(arguments: argparse.Namespace) -> SurfaceCommand:
         tau=arguments.tau,
         mesh=arguments.mesh,
         region=region_of(arguments),
+        within_um=arguments.within_um,
         step_um=arguments.step_um,
         ascans=arguments.ascans,
         distance=arguments.distance,

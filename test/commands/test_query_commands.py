@@ -106,6 +106,18 @@ def test_a_mesh_of_the_surface_and_the_distance_to_it(scan_file, tmp_path, capsy
         assert found["distance_m"][:, 0].min() > 0 > found["distance_m"][:, -1].max()
 
 
+def test_a_mesh_keeps_to_the_map(scan_file, tmp_path, capsys):
+    path = tmp_path / "surface.npz"
+
+    def deepest_um(*more):
+        run_json(capsys, "surface", scan_file, "-o", path, "--mesh", "--tau", "0.6", *more)
+        with np.load(path, allow_pickle=False) as mesh:
+            return mesh["vertices_m"][:, 2].max() * 1e6
+
+    # Far below the surface the signal has fallen to 0.6 again.
+    assert deepest_um("--within-um", "30") < 200 < deepest_um("--within-um", "inf")
+
+
 def test_the_points_of_a_band(scan_file, tmp_path, capsys):
     path, polygon = tmp_path / "band.npz", tmp_path / "polygon.txt"
     polygon.write_text("# corners in mm\n-0.01, -0.01\n0.15 -0.01\n\n0.15, 1  # far\n-0.01, 1\n")
@@ -156,6 +168,7 @@ def test_what_cannot_be_asked_is_one_line(scan_file, field_file, unstated_file, 
         (("surface", scan_file, "-o", ply, "--step-um", "5"), "with --mesh only"),
         (("surface", scan_file, "-o", ply, "--mesh", "--tau", "2"), "level between the intensities"),
         (("surface", scan_file, "-o", ply, "--ascans", "1"), "max_ascans"),
+        (("surface", scan_file, "-o", ply, "--mesh", "--within-um", "0"), "above + below > 0"),
         (("band", scan_file, "0.6", "0.4", "-o", ply), "low < high"),
         (("band", scan_file, "0.4", "0.6", "-o", ply, "--max-points", "10"), "at most 10 points"),
         (("band", scan_file, "0.4", "0.6", "-o", ply, "--box", "0", "0", "0", "1", "0", "1"), "low < high along each"),
