@@ -8,7 +8,6 @@ import dataclasses
 import io
 import json
 import math
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 from octn_ros.commands.plan_files import read_polygon, read_pose, read_settings
 from octn_ros.commands.plan_options import Places, add_region, add_settings, region_places, setting_changes
+from octn_ros.commands.plan_table import plan_figures, plan_rows
 from octn_ros.commands.sources import FIELD_SUFFIX, Order, add_source, open_field
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class PlanCommand:
                 terminal.check_output_file(path)
         field, plan = self._plan()
         write_plan(self.output, plan)
-        values = {"plan": str(self.output), **_figures(plan)}
+        values = {"plan": str(self.output), **plan_figures(plan)}
         if self.picture is not None:
             from octn_ros.commands.plan_picture import plan_picture
 
@@ -92,7 +92,7 @@ class PlanCommand:
         if self.json:
             terminal.print_json(values)
         else:
-            terminal.print_table(f"{self.field.name}: planned", _rows(values))
+            terminal.print_table(f"{self.field.name}: planned", plan_rows(values))
         return 0
 
     def _plan(self) -> tuple[Field, Plan]:
@@ -215,52 +215,3 @@ def _read(arguments: argparse.Namespace) -> PlanCommand:
         device=arguments.device,
         json=arguments.json,
     )
-
-
-def _figures(plan: Plan) -> dict[str, Any]:
-    return {
-        "waypoints": int(plan.laser_on.sum()),
-        "leads": int((~plan.laser_on).sum()),
-        "requested": plan.requested,
-        "given_up": plan.given_up,
-        "given_up_because": dict(Counter(point.reason for point in plan.given_up_points)),
-        "tilt_limited": int(plan.tilt_limited.sum()),
-        "tau": plan.tau,
-        "hit_rate": plan.hit_rate,
-        "smoothness_mm2": plan.smoothness_mm2,
-        "coverage": dataclasses.asdict(plan.coverage),
-        "error_budget": plan.error_budget.to_plain(),
-        "method": plan.method,
-        "seconds": plan.seconds,
-        "field_hash": plan.field_hash,
-    }
-
-
-def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
-    covered, budget = values["coverage"], values["error_budget"]
-    because = "".join(f"; {count}: {reason}" for reason, count in values["given_up_because"].items())
-    leads = f", {values['leads']} leads with the laser off" if values["leads"] else ""
-    lacking = f", without {', '.join(budget['not_stated'])} (not stated)" if budget["not_stated"] else ""
-    rows = [
-        ("waypoints", f"{values['waypoints']} of {values['requested']}, {values['given_up']} given up{because}{leads}"),
-        ("hit rate", f"{100 * values['hit_rate']:.1f} % within 5 % of tau = {values['tau']:.3f}"),
-        ("smoothness energy", f"{values['smoothness_mm2']:.4g} mm^2"),
-        (
-            "widest gap",
-            f"{covered['line_gap_m'] * 1e6:.1f} um between lines ({covered['surface_line_gap_m'] * 1e6:.1f} on the "
-            f"surface), {covered['border_gap_m'] * 1e6:.1f} um to the border, {100 * covered['open_share']:.2g} % of "
-            "the region in gaps wider than the line spacing",
-        ),
-        *(
-            (f"error: {term['name']}", f"{term['micrometres']:.2f} um, {term['source']}")
-            for term in budget["terms"]
-            if term["micrometres"]
-        ),
-        ("error in all", f"{budget['total_um']:.1f} um{lacking}"),
-        ("surface search", values["method"]),
-        ("time", ", ".join(f"{name} {value:.2f} s" for name, value in values["seconds"].items())),
-        ("plan", values["plan"]),
-    ]
-    if values["tilt_limited"]:
-        rows.insert(1, ("tilted to the limit", f"{values['tilt_limited']} waypoints"))
-    return rows
