@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -139,8 +140,7 @@ class GridLevel:
     def _place(self, unit: Tensor, axis: int) -> tuple[Tensor, Tensor]:
         """Return the number of the cell along an axis and the fraction within it."""
         position = unit * self.scale[axis] + 0.5
-        # The far face may be rounded up into a cell that is not there; the last cell's end has the same value.
-        cell = position.detach().floor().clamp(max=self.vertices[axis] - 2)
+        cell = position.detach().floor()
         return cell.long(), position - cell
 
     def _columns(self, lateral: Tensor, bscan: Tensor) -> tuple[Tensor, Tensor]:
@@ -158,8 +158,13 @@ class GridLevel:
 
 
 def vertices_along(scale: tuple[float, float, float]) -> tuple[int, int, int]:
-    """Return the vertices that the cells of a level touch along each axis, half-cell offset included."""
-    lateral, axial, bscan = (math.floor(s + 0.5) + 2 for s in scale)
+    """Return the vertices that the cells of a level touch along each axis, half-cell offset included.
+
+    Counted in float32, in which positions are computed: where the far face rounds up to the next cell, as it does for
+    half the odd numbers of voxels at half a cell per voxel, that cell's vertices are there.
+    """
+    half = np.float32(0.5)
+    lateral, axial, bscan = (math.floor(np.float32(s) + half) + 2 for s in scale)
     return lateral, axial, bscan
 
 

@@ -4,8 +4,10 @@ import pytest
 import torch
 
 from octn_ros.errors import ConfigurationError
+from octn_ros.field import FieldDescription, NetworkConfig, NeuralField, NeuralFieldConfig, NeuralModel
 from octn_ros.field.grid_level import GridLevel
 from octn_ros.field.hash_grid import HashGrid, HashGridConfig
+from octn_ros.volume import VolumeGeometry
 
 SHAPE = (20, 30, 40)
 DENSE = HashGridConfig(levels=3, features=2, log2_table_size=17, base_resolution=4)
@@ -131,10 +133,29 @@ def test_lattice_path_equals_points(config):
     torch.testing.assert_close(got.reshape(-1, grid.width), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_a_far_face_that_rounds_up_stays_in_the_table():
+@pytest.mark.parametrize("below", [0.0, 1e-12, 1e-9, 1e-7, 1e-5])
+@pytest.mark.parametrize("number", [1, 7, 22, 127, 1023])
+def test_a_far_face_that_rounds_up_stays_in_the_table(number, below):
     """A scale just below n + 1/2 rounds to it in float32: the far face must not land in a cell that is not there."""
-    level = GridLevel.fit((1.5 - 1e-9,) * 3, 64, 0, smooth=False)
-    rows, weights = level.corners(torch.ones(1, 3))
-    assert level.vertices == (3, 3, 3)
-    assert int(rows.max()) == 26
-    torch.testing.assert_close(weights.sum(), torch.tensor(1.0))
+    level = GridLevel.fit((number + 0.5 - below,) * 3, 1 << 40, 0, smooth=False)
+    for dtype in (torch.float32, torch.float64):
+        rows, weights = level.corners(torch.ones(1, 3, dtype=dtype))
+        assert int(rows.max()) < level.size
+        torch.testing.assert_close(weights.sum(), torch.ones((), dtype=dtype))
+
+
+@pytest.mark.parametrize("backend", ["torch", "auto"])
+def test_odd_volumes_answer_at_their_far_faces(backend):
+    """Half a cell per voxel of an odd number is such a scale; every back end must find its vertices."""
+    for odd in (33, 35, 37, 39, 41, 43, 45, 129, 257):
+        shape = (odd, odd, odd)
+        config = NeuralFieldConfig(
+            HashGridConfig(levels=3, features=4, log2_table_size=22, finest_ratio=0.5, follow_shape=True),
+            NetworkConfig(1, 8),
+        )
+        model = NeuralModel(config, shape)
+        geometry = VolumeGeometry(shape, (1e-5, 1e-5, 1e-5))
+        field = NeuralField(model, config, FieldDescription("neural", geometry, (0.0, 1.0), "log"), backend=backend)
+        edge = torch.tensor([-1.0, 0.0, 1.0])
+        expected = field.model(torch.cartesian_prod(edge, edge, edge)).view(3, 3, 3).permute(2, 1, 0)
+        torch.testing.assert_close(field.lattice(edge, edge, edge), expected, rtol=1e-4, atol=1e-5)
