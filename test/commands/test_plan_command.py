@@ -87,7 +87,7 @@ def test_a_polygon_and_settings_from_files(field_file, tmp_path, capsys):
     assert written["config"]["waypoints"]["standoff_m"] == pytest.approx(1e-4)
     assert set(written["waypoints"]["speed_m_s"]) == {0.002}
     surface = np.array(written["waypoints"]["surface_oct_m"])
-    assert (surface[:, 0] / 1e-4 - 1 + (surface[:, 1] / 1e-4 - 1) / 2 <= 1 + 1e-4).all()  # a line at a corner: nanometres
+    assert (surface[:, 0] / 1e-4 - 1 + (surface[:, 1] / 1e-4 - 1) / 2 <= 1 + 1e-4).all()
     assert json.loads(capsys.readouterr().out)["coverage"]["area_m2"] == pytest.approx(1e-8, rel=0.01)
 
 
