@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from octn_ros.errors import ConfigurationError
 from octn_ros.evaluation.benchmark import BenchmarkRequest, BenchmarkResult, Column, Progress
 from octn_ros.evaluation.raster_config import QUICK, RasterBenchConfig
 from octn_ros.evaluation.raster_fields import (
@@ -48,6 +49,7 @@ COLUMNS = (
     Column("true_smoothness_ratio", "true surface's", "{:.3g}"),
     Column("time_ratio", "baseline's time / this", "{:.3g}"),
     Column("time_ratio_warm", "warm", "{:.3g}"),
+    Column("time_ratio_filtered", "filtered baseline's time / this", "{:.3g}"),
     Column("paper_time_ratio", "paper", "{:.3g}"),
     Column("seconds", "s", "{:.2f}"),
 )
@@ -76,7 +78,8 @@ _NOTES = (
     "smoothness: energy of eq. 13 over that of the baseline after the Gaussian, on the triples of neighbours that the "
     "method kept; the true surface's own beside it.",
     "time: the baseline on the same voxels over this method, first plan on a full volume with filtering on both sides, "
-    "and warm, with filtered voxels, surface and KD-tree kept; a fit is not counted, as the paper does not.",
+    "and warm, with filtered voxels, surface and KD-tree kept; then the first plan against the baseline after the "
+    "Gaussian, without which its path is of no use; a fit is not counted, as the paper does not.",
 )
 
 
@@ -88,8 +91,14 @@ def run(request: BenchmarkRequest, config: RasterBenchConfig | None = None) -> B
         config: everything else; from the request if left out.
 
     Raises:
-        OctnError: a phantom's name is unknown, or the raster does not fit it.
+        OctnError: a phantom's name is unknown, the raster does not fit it, or a folder of scans is given: they have no
+            known truth to hold a path against.
     """
+    if request.data is not None:
+        raise ConfigurationError(
+            f"raster: expected phantoms alone, got the scans in {request.data}, which have no known surface; leave "
+            "--data out, and use octn plan and octn eval on a scan"
+        )
     config = config or (QUICK if request.quick else RasterBenchConfig())
     began = time.perf_counter()
     request.progress("timing", 0.0, "x".join(str(n) for n in config.timing_shape))
@@ -206,6 +215,7 @@ def _row(
         **figures,
         "time_ratio": timing.ratio if timing else None,
         "time_ratio_warm": timing.ratio_warm if timing else None,
+        "time_ratio_filtered": timing.ratio_filtered if timing else None,
         "seconds": seconds,
         **{f"paper_{key}": paper.get(key) for key in ("hit_rate", "smoothness_ratio", "time_ratio")},
     }

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from octn_ros.evaluation.benchmark import Progress
 from octn_ros.evaluation.raster_config import SYSTEM, RasterBenchConfig
@@ -29,12 +30,14 @@ class Timing:
         seconds_warm: median of further plans with everything at hand that can be.
         ratio: baseline's `seconds` over this one's.
         ratio_warm: baseline's `seconds_warm` over this one's.
+        ratio_filtered: the same as `ratio` with the baseline after the Gaussian, whatever this one was made of.
     """
 
     seconds: float
     seconds_warm: float
     ratio: float
     ratio_warm: float
+    ratio_filtered: float = math.nan
 
 
 def measure_times(
@@ -66,7 +69,13 @@ def measure_times(
                 seconds, seconds_warm = _plan(search, timed, pattern)
                 seconds += voxels.seconds + made_s
                 times[f"{kind}-{name}", method] = Timing(seconds, seconds_warm, cold / seconds, warm / seconds_warm)
-    return times
+    return against_filtered(times)
+
+
+def against_filtered(times: dict[tuple[str, str], Timing]) -> dict[tuple[str, str], Timing]:
+    """Return the times with each also held against the baseline after the Gaussian."""
+    reference = times["voxels-gaussian", BASELINE].seconds
+    return {key: replace(timing, ratio_filtered=reference / timing.seconds) for key, timing in times.items()}
 
 
 def _baseline(voxels: FilteredVolume, pattern: RasterPattern) -> tuple[float, float]:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from octn_ros.errors import ConfigurationError
 from octn_ros.evaluation.benchmark import BenchmarkRequest
 from octn_ros.evaluation.raster import PAPER, centred_raster, offset_notes, run
 from octn_ros.evaluation.raster_config import QUICK, RasterBenchConfig
@@ -150,6 +151,11 @@ def test_the_whole_table_on_a_tiny_phantom():
     assert plain["configuration"]["bench"]["side_m"] == TINY.side_m
     assert result.pictures["raster-flat-13dB-single-look.png"].startswith(b"\x89PNG")
     assert told[-1][1] <= 1.0
+
+
+def test_scans_without_truth_are_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="no known surface"):
+        run(BenchmarkRequest(data=tmp_path), TINY)
 
 
 @pytest.mark.slow
