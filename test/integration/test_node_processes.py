@@ -112,8 +112,11 @@ def test_the_example_drives_the_graph(start: Callable[..., Any], client: Any) ->
     assert ended.returncode == 0, ended.stderr
     lines = ended.stdout.splitlines()
     assert lines[0] == f"scan: scanning {SHAPE[0]} B-scans"
-    assert lines[1].startswith("plan: 72 waypoints in tool0")
-    assert lines[2:] == ["execute: executing 72 waypoints", "arm: done: 72 shots"]
+    # 8 lines of 9 waypoints or more: they are spread along the surface, which is longer than the plane below it.
+    count = int(lines[1].split()[1])
+    assert 72 <= count <= 96
+    assert lines[1].startswith(f"plan: {count} waypoints in tool0")
+    assert lines[2:] == [f"execute: executing {count} waypoints", f"arm: done: {count} shots"]
 
 
 def test_an_interrupt_ends_the_trainer_during_a_fit(start: Callable[..., Any], client: Any, tmp_path: Path) -> None:
