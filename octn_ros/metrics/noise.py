@@ -14,10 +14,11 @@ from octn_ros.errors import QueryError
 def snr_db(tissue: NDArray[Any], air: NDArray[Any]) -> float:
     """Signal-to-noise ratio of one image in decibel: tissue is the signal, air above it the noise.
 
-    SNR = 10 log10(mean(tissue)^2 / var(air)), both in displayed intensity. The paper names the two regions and no
-    formula; its table fits this one (13 to 18 dB for tissue of half the display's range over air that varies by a
-    tenth of it, and 2 dB more for all regions alike after a fit that smooths the air). The ratio of mean powers
-    behind a logarithmic display, the `snr_db` of a phantom, is another quantity.
+    SNR = 10 log10(mean(tissue)^2 / var(air)), both in displayed intensity. This formula is our choice: the paper names
+    the two regions and cites Wu et al. (2021), whose formula we have not found. It is compatible with the paper's
+    table (13 to 18 dB for tissue of half the display's range over air that varies by a tenth of it, and 2 dB more for
+    all regions alike after a fit that smooths the air); others may be. The ratio of mean powers behind a logarithmic
+    display, the `snr_db` of a phantom, is another quantity.
 
     Args:
         tissue: intensities of the signal region, any shape.
@@ -42,10 +43,10 @@ def edge_preservation_index(reference: NDArray[Any], test: NDArray[Any]) -> floa
     """Edge preservation index of a B-scan or a region of one: how much of the axial variation is left.
 
     EPI = sum |test(i+1, j) - test(i, j)| / sum |reference(i+1, j) - reference(i, j)|, i the axial index: the ratio
-    that the literature on OCT despeckling uses (Ma et al. 2018). 1 means edges as strong as the reference's, less
-    means softer ones, more means sharper or noisier ones. The other definition in use, the correlation of the two
-    images after a Laplacian (Sattar et al. 1997), cannot exceed 1; the paper's table lists 1.048 and 1.058, so it
-    means the ratio.
+    of axial variation. 1 means edges as strong as the reference's, less means softer ones, more means sharper or
+    noisier ones. This is our choice among the definitions in use, not known to be the paper's: it cites Ma et al.
+    (2018), whose formula we have not found. The ratio is compatible with the values above 1 in the paper's table (1.048
+    and 1.058), which the correlation of the two images after a Laplacian (Sattar et al. 1997) cannot reach.
 
     Args:
         reference: intensities [axial, lateral], at least two rows.
