@@ -92,7 +92,7 @@ def test_the_same_seed_gives_the_same_field(volume):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_same_seed_gives_the_same_field_with_any_number_of_threads(volume, threads):
-    # Large enough for torch to split the work; between 1 and 2 threads sums differ in their last digits.
+    # Large enough for torch to split the work; one number of threads is not held against another.
     config = dataclasses.replace(SMALL, steps=2, batch=1 << 15)
     before = torch.get_num_threads()
     try:
