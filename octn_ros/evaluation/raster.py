@@ -77,9 +77,10 @@ _NOTES = (
     "offset included.",
     "smoothness: energy of eq. 13 over that of the baseline after the Gaussian, on the triples of neighbours that the "
     "method kept; the true surface's own beside it.",
-    "time: the baseline on the same voxels over this method, first plan on a full volume with filtering on both sides, "
-    "and warm, with filtered voxels, surface and KD-tree kept; then the first plan against the baseline after the "
-    "Gaussian, without which its path is of no use; a fit is not counted, as the paper does not.",
+    "time_ratio: the baseline's time over this method's on the same voxels, first plan on a full volume with filtering "
+    "on both sides; time_ratio_warm: the same with filtered voxels, surface and KD-tree kept; time_ratio_filtered: the "
+    "first plan against the baseline after the Gaussian, which for a field of unfiltered voxels compares an unfiltered "
+    "field with a filtered baseline. A fit is not counted, as the paper does not.",
 )
 
 
