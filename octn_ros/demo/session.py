@@ -166,7 +166,9 @@ def _wait_field(ears: Ears, fit_parameters: Mapping[str, Any]) -> CompressedImag
     budget_s = float(fit_parameters["fit.time_budget_s"])
     values = _wait_state(ears.fit_progress, ("done",), ("refused", "failed", "cancelled"), budget_s + FIT_GRACE_S)
     # The field through the voxels came first, on the same topic and of the same stamp.
-    return ears.field.wait(ANSWER_S, lambda message: field_hash(conversions.field_data(message)) == values["field_hash"])
+    return ears.field.wait(
+        ANSWER_S, lambda message: field_hash(conversions.field_data(message)) == values["field_hash"]
+    )
 
 
 def _plan(client: GraphClient, ears: Ears, geometry: VolumeGeometry, field: str) -> dict[str, str]:

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from octn_ros.field.compiled.evaluator import CompiledEvaluator
     from octn_ros.field.neural import NeuralModel
 
-Backend = Literal["auto", "torch", "compiled"]
-BACKENDS: tuple[Backend, ...] = ("auto", "torch", "compiled")
+BACKENDS = ("auto", "torch", "compiled")
 
 
 def why_not_compiled(model: NeuralModel) -> str:
@@ -32,7 +31,7 @@ def why_not_compiled(model: NeuralModel) -> str:
     return "" if _numba_is_there() else "numba is missing; pip install numba"
 
 
-def choose_backend(model: NeuralModel, backend: Backend) -> Literal["torch", "compiled"]:
+def choose_backend(model: NeuralModel, backend: str) -> Literal["torch", "compiled"]:
     """Return the back end for a model: with "auto" the compiled one where it can run, else plain torch.
 
     Raises:

@@ -33,6 +33,13 @@ class HashGridConfig:
         False, "whether each axis has cells in proportion to its voxels (open in the paper; else a cube)"
     )
 
+    axial_refinement: float = setting(
+        1.0,
+        "cells along the axial axis for each along the others, where cells follow the voxels (open in the paper): "
+        "tissue changes faster along the beam than across it",
+        low=0.25,
+        high=8.0,
+    )
     interpolation: str = setting(
         "linear",
         "weights inside a cell: linear as in the paper, or tiny-cuda-nn's smoothstep, whose field has a continuous "
@@ -52,7 +59,9 @@ class HashGridConfig:
         longest = max(shape)
         finest = max(self.finest_ratio * longest, self.base_resolution)
         growth = (finest / self.base_resolution) ** (1.0 / max(self.levels - 1, 1))
-        ratios = [n / longest if self.follow_shape else 1.0 for n in (shape[2], shape[1], shape[0])]
+        ratios = [1.0, 1.0, 1.0]
+        if self.follow_shape:
+            ratios = [shape[2] / longest, shape[1] / longest * self.axial_refinement, shape[0] / longest]
         scales = []
         for level in range(self.levels):
             resolution = self.base_resolution * growth**level

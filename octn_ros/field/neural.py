@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from octn_ros.field.backend import Backend, choose_backend, make_evaluator
+from octn_ros.field.backend import choose_backend, make_evaluator
 from octn_ros.field.capacity import grid_for_volume
 from octn_ros.field.field import CHUNK_POINTS, DifferentiableField, FieldDescription
 from octn_ros.field.hash_grid import HashGrid, HashGridConfig
@@ -93,7 +93,7 @@ class NeuralField(DifferentiableField):
         model: NeuralModel,
         config: NeuralFieldConfig,
         description: FieldDescription,
-        backend: Backend = "auto",
+        backend: str = "auto",
     ) -> None:
         super().__init__(description)
         self.model = model.eval().requires_grad_(False)

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from octn_ros.field import NeuralModel
+from octn_ros.field.compiled.evaluator import CompiledEvaluator
 from octn_ros.field.compiled.model import encoding_of, linear_layers, perceptron_of, workers
 from octn_ros.field.compiled.options import BRICK
 from octn_ros.field.compiled.walk import MOST_VERTICES
@@ -110,26 +112,34 @@ class BrickTrainer:
         self._parameters = [p.detach().numpy() for layer in linear_layers(model) for p in (layer.weight, layer.bias)]
         self._parameter_moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self._parameters]
         self._step = 0
+        self.samples = 0
 
-    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> tuple[float, int] | None:
-        """Do one step; return its mean squared error and number of samples, None if cancelled with nothing changed.
+    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> float | None:
+        """Do one step; return its mean squared error, None if it was cancelled and nothing has changed.
 
         Args:
             rate: Adam's learning rate.
             alpha: share of interpolated samples.
-            cancelled: asked once, after the pass.
+            cancelled: asked before the step and before anything changes.
         """
+        if cancelled():
+            return None
         bricks = self._sampler.draw(self._bricks, math.floor(round(alpha * self._bricks, 6)))
-        samples = bricks.samples
+        samples = max(bricks.samples, 1)  # a single shifted brick can miss the volume
         gradients, squared_error = self._pass(bricks)
-        if cancelled() or samples == 0:
-            return None if samples else (0.0, 0)
+        if cancelled():
+            return None
         self._step += 1
         factor = 2.0 / samples
         corrections = tuple(1.0 / (1.0 - beta**self._step) for beta in _BETAS)
         self._update_table(np.float32(rate), np.float32(factor), corrections)
         self._update_network(rate, [factor * g for g in gradients], corrections)
-        return squared_error / samples, samples
+        self.samples += samples
+        return squared_error / samples
+
+    def evaluate(self, points: Tensor) -> Tensor:
+        """Return the model's intensities [N] at canonical points [N, 3]."""
+        return CompiledEvaluator(self._model).evaluate(points)
 
     def _pass(self, bricks: Bricks) -> tuple[list[NDArray[np.float32]], float]:
         perceptron = perceptron_of(self._model)

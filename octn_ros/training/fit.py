@@ -6,21 +6,27 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import nn
 
 from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, NeuralField, NeuralModel
+from octn_ros.field.backend import choose_backend
 from octn_ros.settings import as_plain
 from octn_ros.training.config import FitConfig
+from octn_ros.training.data_start import start_from_data
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.training.held_in import HeldInVoxels, psnr_of_error, psnr_of_field
 from octn_ros.training.noise import noise_variance
+from octn_ros.training.point_trainer import PointTrainer
 from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
 from octn_ros.training.sampling import ResidentVoxels, VoxelSampler
 from octn_ros.volume import Volume
+
+if TYPE_CHECKING:
+    from octn_ros.training.brick_trainer import BrickTrainer
 
 Ended = Literal["steps", "time", "target", "noise level", "cancelled", "diverged"]
 
@@ -92,9 +98,20 @@ def fit(
         model = _model_of(start, volume).to(device)
     else:
         config = dataclasses.replace(config, field=config.field.for_volume(volume.geometry))
-        model = _seeded_model(config, volume, held_in.mean).to(device)
-    sampler = VoxelSampler(voxels, config.seed)
-    steps, seconds, history, ended = _train(model, voxels, sampler, held_in, config, progress or _ignore, is_cancelled)
+        model = _seeded_model(config, volume, held_in.mean)
+        if config.start_from_data:
+            start_from_data(model, volume)
+        model = model.to(device)
+    backend = choose_backend(model, config.backend)
+    trainer: PointTrainer | BrickTrainer
+    if backend == "compiled":
+        # Loaded here, since it brings numba along.
+        from octn_ros.training.brick_trainer import BrickTrainer
+
+        trainer = BrickTrainer(model, volume, config.batch, config.seed)
+    else:
+        trainer = PointTrainer(model, VoxelSampler(voxels, config.seed), config.batch)
+    steps, seconds, history, ended = _train(model, voxels, trainer, held_in, config, progress or _ignore, is_cancelled)
     field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
     quality = math.nan if ended == "cancelled" else psnr_of_field(field, volume, cancelled=is_cancelled)
     if math.isnan(quality):
@@ -105,6 +122,7 @@ def fit(
         "seconds": seconds,
         "psnr_db": None if math.isnan(quality) else quality,
         "ended": ended,
+        "backend": backend,
         "warm_start": start is not None,
     }
     field = NeuralField(model, config.field, dataclasses.replace(field.description, training=training))
@@ -114,15 +132,13 @@ def fit(
 def _train(
     model: NeuralModel,
     voxels: ResidentVoxels,
-    sampler: VoxelSampler,
+    trainer: PointTrainer | BrickTrainer,
     held_in: HeldInVoxels,
     config: FitConfig,
     progress: Callable[[FitProgress], None],
     cancelled: Callable[[], bool],
 ) -> tuple[int, float, tuple[FitProgress, ...], Ended]:
     """Train the model in place; return steps, seconds, reports and why it ended."""
-    # Features that no sample touches keep a zero gradient; tiny-cuda-nn's small epsilon lets rare ones move at once.
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=(0.9, 0.99), eps=1e-15, fused=True)
     guard = DivergenceGuard(model, held_in.variance)
     period = HeldInVoxels.period(config.batch)
     noise = noise_variance(voxels) if config.stop_at_noise else -1.0
@@ -141,7 +157,7 @@ def _train(
             return "target"
         return "noise level" if error <= noise else None
 
-    step, error = 0, held_in.mean_squared_error(model)
+    step, error = 0, held_in.mean_squared_error(trainer.evaluate)
     stage: Stage = "hybrid"
     ended: Ended | None = reached()
     while ended is None:
@@ -150,7 +166,8 @@ def _train(
             ended = "steps" if step == config.steps else "time"
             break
         stage = schedule.stage(step + 1)
-        loss = _step(model, optimizer, sampler, config, schedule.learning_rate(fraction), stage, cancelled)
+        alpha = config.alpha if stage == "hybrid" else 0.0
+        loss = trainer.step(schedule.learning_rate(fraction), alpha, cancelled)
         if loss is None:
             ended = "cancelled"
             break
@@ -160,15 +177,16 @@ def _train(
             break
         tally.add(loss)
         if step % period == 0 or step == config.steps:
-            error = held_in.mean_squared_error(model)
+            error = held_in.mean_squared_error(trainer.evaluate)
             ended = reached()
-        tell(tally.report(step, stage, psnr_of_error(error), last=ended is not None or step == config.steps))
+        last = ended is not None or step == config.steps
+        tell(tally.report(step, trainer.samples, stage, psnr_of_error(error), last=last))
     if ended in ("steps", "time", "target", "noise level"):
-        error = held_in.mean_squared_error(model)
+        error = held_in.mean_squared_error(trainer.evaluate)
         ended = ended if math.isfinite(error) else "diverged"
     seconds = schedule.seconds
     if ended != "diverged":
-        tell(tally.report(step, stage, psnr_of_error(error), last=True))
+        tell(tally.report(step, trainer.samples, stage, psnr_of_error(error), last=True))
     else:
         good = guard.restore()
         if good is None:
@@ -178,30 +196,6 @@ def _train(
             )
         step = good
     return step, seconds, tuple(history), ended
-
-
-def _step(
-    model: NeuralModel,
-    optimizer: torch.optim.Optimizer,
-    sampler: VoxelSampler,
-    config: FitConfig,
-    learning_rate: float,
-    stage: Stage,
-    cancelled: Callable[[], bool],
-) -> float | None:
-    """Do one step of Algorithm 1; return its loss, None if it was cancelled and nothing has changed."""
-    if cancelled():
-        return None
-    for group in optimizer.param_groups:
-        group["lr"] = learning_rate
-    points, intensities = sampler.batch(config.batch, config.alpha if stage == "hybrid" else 0.0)
-    loss = nn.functional.mse_loss(model(points), intensities)
-    if cancelled():
-        return None
-    optimizer.zero_grad(set_to_none=True)
-    loss.backward()
-    optimizer.step()
-    return float(loss.detach())
 
 
 def _seeded_model(config: FitConfig, volume: Volume, mean: float) -> NeuralModel:

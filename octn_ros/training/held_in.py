@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from octn_ros.field import Field, NeuralModel
+from octn_ros.field import Field
 from octn_ros.training.sampling import ResidentVoxels
 from octn_ros.volume import Volume, VolumeGeometry
 
@@ -46,10 +47,9 @@ class HeldInVoxels:
         self.mean = float(self._intensities.mean())
         self.variance = float(self._intensities.var())
 
-    def mean_squared_error(self, model: NeuralModel) -> float:
-        """Return the mean squared error of a model on these voxels; NaN or infinity if the model has become so."""
-        with torch.no_grad():
-            return float((model(self._points) - self._intensities).square().mean())
+    def mean_squared_error(self, evaluate: Callable[[Tensor], Tensor]) -> float:
+        """Return the mean squared error on these voxels of what answers for canonical points; NaN if it does so."""
+        return float((evaluate(self._points) - self._intensities).square().mean())
 
     @staticmethod
     def period(batch: int) -> int:

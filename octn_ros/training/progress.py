@@ -83,7 +83,9 @@ class ProgressTally:
         """Take the loss of one step."""
         self._losses.append(loss)
 
-    def report(self, step: int, stage: Stage, psnr_db: float, *, last: bool = False) -> FitProgress | None:
+    def report(
+        self, step: int, samples: int, stage: Stage, psnr_db: float, *, last: bool = False
+    ) -> FitProgress | None:
         """Return a report about four times a second, and of what is left after the last step."""
         seconds = self._schedule.seconds
         if not self._losses or (seconds - self._last_s < REPORT_PERIOD_S and not last):
@@ -99,5 +101,5 @@ class ProgressTally:
             stage=stage,
             loss=mean,
             psnr_db=psnr_db,
-            samples_per_s=step * self._config.batch / seconds,
+            samples_per_s=samples / seconds,
         )

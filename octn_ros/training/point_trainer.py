@@ -1,0 +1,56 @@
+"""Steps of Algorithm 1 on lone samples in plain torch: the reference, on any device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from octn_ros.field import NeuralModel
+from octn_ros.training.sampling import VoxelSampler
+
+
+class PointTrainer:
+    """Fits a model in place by automatic differentiation and Adam; not thread-safe itself.
+
+    Args:
+        model: the model that is trained.
+        sampler: where its samples come from.
+        batch: samples of a step.
+    """
+
+    def __init__(self, model: NeuralModel, sampler: VoxelSampler, batch: int) -> None:
+        self._model, self._sampler, self._batch = model, sampler, batch
+        # Features that no sample touches keep a zero gradient; tiny-cuda-nn's small epsilon lets rare ones move at
+        # once.
+        self._optimizer = torch.optim.Adam(model.parameters(), betas=(0.9, 0.99), eps=1e-15, fused=True)
+        self.samples = 0
+
+    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> float | None:
+        """Do one step; return its mean squared error, None if it was cancelled and nothing has changed.
+
+        Args:
+            rate: Adam's learning rate.
+            alpha: share of interpolated samples.
+            cancelled: asked before the step and before anything changes.
+        """
+        if cancelled():
+            return None
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate
+        points, intensities = self._sampler.batch(self._batch, alpha)
+        loss = nn.functional.mse_loss(self._model(points), intensities)
+        if cancelled():
+            return None
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self._optimizer.step()
+        self.samples += self._batch
+        return float(loss.detach())
+
+    def evaluate(self, points: Tensor) -> Tensor:
+        """Return the model's intensities [N] at canonical points [N, 3], without a graph."""
+        with torch.no_grad():
+            values: Tensor = self._model(points)
+        return values
