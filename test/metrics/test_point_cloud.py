@@ -33,17 +33,26 @@ def test_symmetric_and_chamfer_below_hausdorff(seed, first, second):
     assert 0.0 < there.chamfer_m <= there.hausdorff_m + 1e-12
 
 
-def test_too_many_points_are_thinned_by_the_seed():
+def test_many_points_are_sampled_by_the_seed():
     generator = np.random.default_rng(0)
-    one, other = generator.random((500, 3)), generator.random((400, 3))
-    full = chamfer_m(one, other)
-    thin = chamfer_m(one, other, max_points=50)
-    assert thin == chamfer_m(one, other, max_points=50)
-    assert thin != chamfer_m(one, other, max_points=50, seed=1)
-    assert thin > full
-    assert chamfer_m(one, other, max_points=500) == full
-    # Thinned alike, a cloud still does not differ from itself.
-    assert chamfer_m(one, one, max_points=50) == 0.0
+    one, other = generator.random((5000, 3)), generator.random((4000, 3))
+    full, sampled = cloud_distance(one, other), cloud_distance(one, other, max_points=500)
+    assert sampled == cloud_distance(one, other, max_points=500)
+    assert sampled != cloud_distance(one, other, max_points=500, seed=1)
+    assert sampled == pytest.approx(cloud_distance(other, one, max_points=500))
+    # Nearest neighbours are exact: sampling neither raises the mean, as thinning would (to twice), nor the largest.
+    assert sampled.chamfer_m == pytest.approx(full.chamfer_m, rel=0.05)
+    assert sampled.hausdorff_m <= full.hausdorff_m
+    assert cloud_distance(one, other, max_points=5000) == full
+
+
+def test_the_order_of_points_does_not_matter_however_many_there_are():
+    cloud = np.random.default_rng(0).random((3000, 3))
+    permuted = np.random.default_rng(1).permutation(cloud)
+    assert cloud_distance(cloud, permuted, max_points=300) == (0.0, 0.0)
+    # The same distance for every point, so that whichever are drawn, it is their mean: 1e-4 along z.
+    moved = cloud_distance(cloud, permuted + np.array([0.0, 0.0, 1e-4]), max_points=300)
+    assert moved.chamfer_m == pytest.approx(1e-4)
 
 
 @pytest.mark.parametrize(
