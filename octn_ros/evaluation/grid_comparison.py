@@ -146,7 +146,7 @@ def _slabs(shape: tuple[int, int, int]) -> Iterator[tuple[int, int, slice]]:
 
 def _check_same_grid(field: Field, volume: Volume) -> None:
     mine, other = field.geometry, volume.geometry
-    if mine.shape != other.shape or not np.allclose(mine.spacing_m, other.spacing_m, rtol=1e-4, atol=0.0):
+    if not mine.same_grid(other):
         spacings = (", ".join(f"{s * 1e6:g}" for s in g.spacing_m) for g in (mine, other))
         raise QueryError(
             f"expected a volume on the field's grid, {mine.shape} voxels every {next(spacings)} um, got {other.shape} "

@@ -239,7 +239,10 @@ def tool_path(
 
 
 def to_cloud(rows: NDArray[np.void], stamp_ns: int, frame: str) -> PointCloud2:
-    """Return a structured array [N] of float32, uint32 and uint8 columns as an unordered point cloud."""
+    """Return a structured array [N] of float32, uint32 and uint8 columns as an unordered point cloud.
+
+    It is dense, as PointCloud2 means it, if every number is finite; a tool path with leads is not.
+    """
     names = rows.dtype.names or ()
     columns = [rows.dtype.fields[name] for name in names]  # type: ignore[index]
     fields = [
@@ -255,7 +258,7 @@ def to_cloud(rows: NDArray[np.void], stamp_ns: int, frame: str) -> PointCloud2:
         point_step=rows.dtype.itemsize,
         row_step=rows.dtype.itemsize * len(rows),
         data=to_bytes_field(rows.tobytes()),
-        is_dense=True,
+        is_dense=all(np.isfinite(rows[name]).all() for name in names),
     )
 
 

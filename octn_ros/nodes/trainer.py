@@ -181,9 +181,9 @@ class Trainer(Node):
         response.result = LoadMap.Response.RESULT_UNDEFINED_FAILURE
         try:
             path = _path_of(request.map_url)
-            if not path.is_file():
+            if not path.exists():
                 response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
-                raise VolumeError(f"{path}: no such file; expected a C-scan, as a path or a file:// URL")
+                raise VolumeError(f"{path}: no such file or folder; expected a C-scan, as a path or a file:// URL")
             response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
             volume = self._read(path)
             response.map = conversions.to_grid(enface(volume), volume.geometry, volume.stamp_ns)
@@ -284,8 +284,7 @@ class Trainer(Node):
         field, geometry = self._fitted, scan.volume.geometry
         if field is None or not self._config.config().warm_start or field.config != config.field.for_volume(geometry):
             return None
-        same = field.geometry.shape == geometry.shape and np.allclose(field.geometry.spacing_m, geometry.spacing_m)
-        return field if same else None
+        return field if field.geometry.same_grid(geometry) else None
 
     def _place(self, scan: Scan) -> Scan:
         """Return the scan with the pose nearest to it; it may have come after the last B-scan, by another topic."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Points = TypeVar("Points", "NDArray[np.floating]", "torch.Tensor")
 
 OCT_FRAME = "oct_optical_frame"
+_SAME_SPACING = 1e-3  # relative: less than a voxel over a whole axis, more than what files round a spacing to
 # Axis orders. Arrays and voxel indices: [bscan, axial, lateral]. Canonical coordinates, as the paper's (x, y, z)
 # over (W, H, D): (lateral, axial, bscan). OCT frame (REP-103, optical): (lateral, bscan, axial).
 
@@ -101,6 +102,13 @@ class VolumeGeometry:
         """Metres that one canonical unit spans along (lateral, axial, bscan); divide a gradient by it."""
         x, y, z = self.extent_m
         return x / 2, z / 2, y / 2
+
+    def same_grid(self, other: VolumeGeometry) -> bool:
+        """Return whether both have as many voxels as far apart, within a thousandth; where they lie does not count."""
+        return self.shape == other.shape and all(
+            math.isclose(mine, its, rel_tol=_SAME_SPACING)
+            for mine, its in zip(self.spacing_m, other.spacing_m, strict=True)
+        )
 
     def to_plain(self) -> dict[str, object]:
         """Return the geometry as lists and strings that JSON can hold."""

@@ -119,6 +119,16 @@ def test_a_tool_path_survives_the_cloud() -> None:
     assert rows["laser_on"].tolist() == [1, 0, 1, 1]
 
 
+def test_a_cloud_with_a_number_that_is_none_is_not_dense() -> None:
+    rows = np.zeros(3, conversions.TOOL_PATH)
+    assert conversions.to_cloud(rows, 0, "tool0").is_dense
+    assert conversions.to_cloud(rows[:0], 0, "tool0").is_dense
+    for name in ("residual", "confidence"):  # what leads carry
+        lead = rows.copy()
+        lead[name][1] = np.nan
+        assert not conversions.to_cloud(lead, 0, "tool0").is_dense
+
+
 def test_another_cloud_is_no_tool_path() -> None:
     message = conversions.to_cloud(np.zeros(2, [("x", "<f4"), ("y", "<f4")]), 0, "tool0")
     with pytest.raises(ExecutionError, match="expected a tool path with the columns"):

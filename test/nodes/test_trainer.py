@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import LoadMap
+from PIL import Image as PngImage
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
@@ -126,6 +128,16 @@ def test_a_file_without_spacing_takes_the_parameter_or_is_refused(
     assert answer.map.info.resolution == pytest.approx(14e-6)
 
 
+def test_a_folder_of_images_is_a_scan_too(
+    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+) -> None:
+    for number, bscan in enumerate(volume.array):
+        PngImage.fromarray(bscan).save(tmp_path / f"bscan_{number}.png")
+    bench = Bench(spin, client, spacing_um=SPACING_UM)
+    assert bench.load(tmp_path.as_uri()).result == LoadMap.Response.RESULT_SUCCESS
+    assert loads_field(conversions.field_data(bench.field.wait(TIMEOUT_S))).geometry.shape == SHAPE
+
+
 def test_files_that_cannot_be_used_are_refused_in_words(
     spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
 ) -> None:
@@ -137,7 +149,7 @@ def test_files_that_cannot_be_used_are_refused_in_words(
     (tmp_path / "cut.nii").write_bytes(good.read_bytes()[:-100])
     cases = [
         (str(tmp_path / "none.nii"), missing, "no such file"),
-        (str(tmp_path), missing, "no such file"),
+        (str(tmp_path), invalid, "images"),
         ("", LoadMap.Response.RESULT_UNDEFINED_FAILURE, "map_url"),
         ("https://example.org/scan.nii", LoadMap.Response.RESULT_UNDEFINED_FAILURE, "of this machine"),
         (str(tmp_path / "empty.nii"), invalid, "empty"),
@@ -224,6 +236,20 @@ def test_a_warm_start_begins_with_the_last_field(
     bench.load(str(tmp_path / "scan.nii"))
     other = bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message not in (first, again))
     assert not warm(other), "a field of another shape cannot be gone on with"
+
+
+def test_a_scan_of_another_fine_spacing_is_fitted_anew(
+    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+) -> None:
+    bench = Bench(spin, client, warm_start=True)
+    for name, factor in (("one.nii", 1.0), ("other.nii", 1.0015)):
+        # 7.5 nm of 5 um: next to nothing in metres, and yet another grid
+        geometry = dataclasses.replace(volume.geometry, spacing_m=(5e-6 * factor,) * 3)
+        save_volume(tmp_path / name, dataclasses.replace(volume, geometry=geometry))
+    bench.load(str(tmp_path / "one.nii"))
+    first = bench.field.wait(TIMEOUT_S, is_neural)
+    bench.load(str(tmp_path / "other.nii"))
+    assert not warm(bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message is not first))
 
 
 def test_a_fit_that_diverges_is_published_as_it_last_was_and_said_so(

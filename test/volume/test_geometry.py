@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -65,3 +67,18 @@ def test_short_axis_is_refused(shape):
 def test_bad_spacing_is_refused(bad):
     with pytest.raises(VolumeError, match="positive spacings"):
         VolumeGeometry((4, 4, 4), (1e-5, bad, 1e-5))
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3], ids=["micrometres", "nanometres"])
+def test_grids_are_the_same_in_shape_and_relative_spacing_wherever_they_lie(scale):
+    spacing = tuple(s * scale for s in GEOMETRY.spacing_m)
+    geometry = dataclasses.replace(GEOMETRY, spacing_m=spacing)
+    assert geometry.same_grid(dataclasses.replace(geometry, origin_m=(1.0, 2.0, 3.0), frame="elsewhere"))
+    for axis in range(3):
+        for factor, same in ((1.0005, True), (0.9995, True), (1.002, False), (0.998, False)):
+            changed = list(spacing)
+            changed[axis] *= factor
+            assert geometry.same_grid(dataclasses.replace(geometry, spacing_m=tuple(changed))) is same
+        shape = list(geometry.shape)
+        shape[axis] += 1
+        assert not geometry.same_grid(dataclasses.replace(geometry, shape=tuple(shape)))
