@@ -50,7 +50,9 @@ def psnr_db(reference: NDArray[Any], test: NDArray[Any], data_range: float = 1.0
 
 
 def psnr_from_error_db(mean_squared_error: float, data_range: float = 1.0) -> float:
-    """Return the PSNR in dB that a mean squared error stands for; infinity for none."""
+    """Return the PSNR in dB that a mean squared error stands for: infinity for none, NaN for one that is not finite."""
+    if not math.isfinite(mean_squared_error):
+        return math.nan
     return math.inf if mean_squared_error == 0.0 else 10.0 * math.log10(data_range**2 / mean_squared_error)
 
 

@@ -14,11 +14,12 @@ from torch import nn
 from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, NeuralField, NeuralModel
 from octn_ros.field.backend import choose_backend
+from octn_ros.metrics import psnr_from_error_db
 from octn_ros.settings import as_plain
 from octn_ros.training.config import FitConfig
 from octn_ros.training.data_start import start_from_data
 from octn_ros.training.divergence import DivergenceGuard
-from octn_ros.training.held_in import HeldInVoxels, psnr_of_error, psnr_of_field
+from octn_ros.training.held_in import HeldInVoxels, psnr_of_field
 from octn_ros.training.noise import noise_variance
 from octn_ros.training.point_trainer import PointTrainer
 from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
@@ -153,7 +154,7 @@ def _train(
 
     def reached() -> Ended | None:
         guard.keep(step, error)
-        if config.target_psnr_db > 0 and psnr_of_error(error) >= config.target_psnr_db:
+        if config.target_psnr_db > 0 and psnr_from_error_db(error) >= config.target_psnr_db:
             return "target"
         return "noise level" if error <= noise else None
 
@@ -180,13 +181,13 @@ def _train(
             error = held_in.mean_squared_error(trainer.evaluate)
             ended = reached()
         last = ended is not None or step == config.steps
-        tell(tally.report(step, trainer.samples, stage, psnr_of_error(error), last=last))
+        tell(tally.report(step, trainer.samples, stage, psnr_from_error_db(error), last=last))
     if ended in ("steps", "time", "target", "noise level"):
         error = held_in.mean_squared_error(trainer.evaluate)
         ended = ended if math.isfinite(error) else "diverged"
     seconds = schedule.seconds
     if ended != "diverged":
-        tell(tally.report(step, trainer.samples, stage, psnr_of_error(error), last=True))
+        tell(tally.report(step, trainer.samples, stage, psnr_from_error_db(error), last=True))
     else:
         good = guard.restore()
         if good is None:

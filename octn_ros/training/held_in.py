@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from octn_ros.field import Field
+from octn_ros.metrics import psnr_from_error_db
 from octn_ros.training.sampling import ResidentVoxels
 from octn_ros.volume import Volume, VolumeGeometry
 
@@ -92,11 +93,4 @@ def psnr_of_field(
             difference = rendered.astype(np.float64) - volume.normalized((index, strip))
             total += float(np.vdot(difference, difference))
             count += difference.size
-    return psnr_of_error(total / count)
-
-
-def psnr_of_error(mean_squared_error: float) -> float:
-    """Return 10 log10(1 / error) in dB: infinity for none, NaN for an error that is not finite."""
-    if not math.isfinite(mean_squared_error):
-        return math.nan
-    return -10.0 * math.log10(mean_squared_error) if mean_squared_error > 0 else math.inf
+    return psnr_from_error_db(total / count)

@@ -42,6 +42,8 @@ def test_psnr_refuses_what_it_cannot_compare(reference, test, data_range):
 def test_psnr_of_a_mean_squared_error():
     assert psnr_from_error_db(1e-3) == pytest.approx(30.0)
     assert psnr_from_error_db(0.0) == math.inf
+    assert math.isnan(psnr_from_error_db(math.inf))
+    assert math.isnan(psnr_from_error_db(math.nan))
 
 
 def test_ssim_of_a_constant_shift_by_hand():
