@@ -7,7 +7,6 @@ from octn_ros.metrics.point_cloud import MAX_POINTS, CloudDistance, chamfer_m, c
 from octn_ros.metrics.region import RegionKind, RegionOfInterest, find_regions, load_regions
 from octn_ros.metrics.surface import (
     SurfaceDistance,
-    depth_rms_um,
     summarise_distance,
     surface_distance,
 )
@@ -22,7 +21,6 @@ __all__ = [
     "SurfaceDistance",
     "chamfer_m",
     "cloud_distance",
-    "depth_rms_um",
     "edge_preservation_index",
     "find_regions",
     "hausdorff_m",

@@ -33,19 +33,6 @@ class SurfaceDistance:
     rms_um: float
 
 
-def depth_rms_um(points_m: NDArray[np.floating], surface_depth_m: SurfaceDepth) -> float:
-    """Root mean square difference in axial depth between points and the true surface, in micrometres.
-
-    Args:
-        points_m: points [N, (x, y, z)] in the OCT frame.
-        surface_depth_m: depth of the true surface as a function of x [N] and y [N], vectorised.
-
-    Raises:
-        QueryError: there are no points, or one of them is not finite.
-    """
-    return float(np.sqrt(np.mean(_axial_difference(points_m, surface_depth_m) ** 2)) * 1e6)
-
-
 def surface_distance(points_m: NDArray[np.floating], surface_depth_m: SurfaceDepth) -> SurfaceDistance:
     """Distance of points to the nearest point of the true surface, to first order in the distance.
 

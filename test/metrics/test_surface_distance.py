@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from octn_ros.errors import QueryError
-from octn_ros.metrics import depth_rms_um, summarise_distance, surface_distance
+from octn_ros.metrics import summarise_distance, surface_distance
 
 
 def plane(x, y):
@@ -12,10 +12,6 @@ def plane(x, y):
 def points_above(offset_m):
     x, y = np.meshgrid(np.linspace(0, 1e-3, 7), np.linspace(0, 1e-3, 5))
     return np.stack([x.ravel(), y.ravel(), plane(x, y).ravel() + offset_m], axis=1)
-
-
-def test_depth_rms_on_a_known_offset():
-    assert depth_rms_um(points_above(20e-6), plane) == pytest.approx(20.0)
 
 
 def test_distance_is_perpendicular_and_signed():
@@ -38,7 +34,7 @@ def test_spread_is_taken_about_the_median():
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan)])
 def test_points_that_cannot_be_judged(points):
     with pytest.raises(QueryError, match="expected"):
-        depth_rms_um(points, plane)
+        surface_distance(points, plane)
 
 
 def test_summary_of_distances_by_hand():

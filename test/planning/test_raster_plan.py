@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from octn_ros.errors import ConfigurationError, OctnError, PlanError
 from octn_ros.field import InterpolatedField
-from octn_ros.metrics import depth_rms_um
+from octn_ros.metrics import surface_distance
 from octn_ros.planning import (
     Calibration,
     EnvelopeConfig,
@@ -38,7 +38,7 @@ def test_a_plan_on_a_known_surface(any_field, calibration):
     plan = plan_raster(any_field, calibration, CORNER, OPPOSITE, 0.0, LATERAL, tau=0.4, field_hash="abc")
     assert (plan.requested, plan.given_up, len(plan.given_up_points)) == (11 * 15, 0, 0)
     assert plan.hit_rate == 1.0
-    assert depth_rms_um(plan.surface_m, any_field.depth) < 1.0
+    assert surface_distance(plan.surface_m, any_field.depth).rms_um < 1.0
     np.testing.assert_allclose(plan.waypoints_oct[:, :3, 3], plan.surface_m)
     np.testing.assert_allclose(plan.waypoints_ee, calibration.oct2ee @ plan.waypoints_oct)
     np.testing.assert_allclose(plan.surface_m[0, :2], CORNER)
@@ -189,4 +189,4 @@ def test_a_speckled_phantom_is_planned_within_the_issue_figures(calibration, spe
     plan = plan_raster(field, calibration, (1e-4, 1e-4), (1.2e-3, 1e-3), 0.0)
     assert plan.hit_rate > 0.95
     assert plan.given_up <= 0.05 * plan.requested
-    assert depth_rms_um(plan.surface_m, phantom.surface_depth_m) < 30.0
+    assert surface_distance(plan.surface_m, phantom.surface_depth_m).rms_um < 30.0
