@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -14,12 +13,15 @@ from octn_ros.errors import PlanError
 from octn_ros.field import Field
 from octn_ros.planning.candidate_choice import choose_smooth
 from octn_ros.planning.step_levels import StepLevels, aligned_steps
+from octn_ros.query.lattice import canonical_index, lattice_size
 from octn_ros.settings import check_settings, setting
 
 # Neighbours are shifted onto each other by their depths, from which better depths follow.
 _ALIGNMENTS = 2
 # A step counts from this share of the strongest in its A-scan.
 _CREDIBLE = 0.35
+# Distance between the interpolated depth and the nearest A-scan's own plane from which a cliff lies between them.
+_CLIFF_M = 44e-6
 # A step below this is rounding, not a surface.
 _SMALLEST_STEP = 1e-6
 
@@ -66,6 +68,7 @@ class CoarseSurface:
         lateral_m: x of the columns [lateral] in the OCT frame.
         bscan_m: y of the rows [bscan].
         typical_step: median height of the steps.
+        axial_m: metres of an axial voxel.
     """
 
     depth: NDArray[np.float64]
@@ -76,6 +79,7 @@ class CoarseSurface:
     lateral_m: NDArray[np.float64]
     bscan_m: NDArray[np.float64]
     typical_step: float
+    axial_m: float
 
     def sample(self, values: NDArray[np.floating], points_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """Interpolate one of the arrays bilinearly at lateral places (x, y) [N, 2]; beyond the lattice, its edge."""
@@ -85,11 +89,25 @@ class CoarseSurface:
         """Take one of the arrays from the nearest A-scan to lateral places (x, y) [N, 2]."""
         return ndimage.map_coordinates(values.astype(np.float64), self._index(points_m), order=0, mode="nearest")
 
-    def depth_at(self, points_m: NDArray[np.floating], spread: float) -> NDArray[np.float64]:
-        """Depth in axial voxels at lateral places: interpolated, but not across an edge higher than `spread` voxels."""
-        near = self.nearest(self.depth, points_m)
+    def depth_at(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Depth in axial voxels at lateral places (x, y) [N, 2]: interpolated, but not across a cliff.
+
+        A cliff lies where the interpolated depth is far from the nearest A-scan's own plane, whose slopes are the
+        gentler ones of its two sides (minmod): on a steep slope both sides agree, beside a cliff one is left out.
+        """
+        row, column = self._index(points_m)
+        nearest = [
+            np.clip(np.rint(place), 0, count - 1).astype(np.intp)
+            for place, count in zip((row, column), self.depth.shape, strict=True)
+        ]
+        rows, columns = nearest
+        plane = self.depth[rows, columns]
+        for axis, place in enumerate((row, column)):
+            # Beyond the lattice its edge counts, as in `sample`.
+            offset = np.clip(place, 0, self.depth.shape[axis] - 1) - nearest[axis]
+            plane = plane + _gentler_step(self.depth, axis)[rows, columns] * offset
         between = self.sample(self.depth, points_m)
-        return np.where(np.abs(between - near) > spread, near, between)
+        return np.where(np.abs(between - plane) * self.axial_m > _CLIFF_M, plane, between)
 
     def slope_at(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the slope in axial voxels per metre along (lateral, bscan) at lateral places [N, 2]."""
@@ -128,12 +146,14 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     margin = max(config.lateral_window_m, 2.0 * float(spacing.max())) / spacing
     last = np.array([laterals, bscans]) - 1.0
     low, high = np.maximum(index.min(axis=0) - margin, 0.0), np.minimum(index.max(axis=0) + margin, last)
-    columns, rows = _lattice_size((high - low) * spacing, np.ceil(high - low).astype(int) + 1, config.max_ascans)
+    width_m, height_m = (high - low) * spacing
+    voxels = math.ceil(high[0] - low[0]) + 1, math.ceil(high[1] - low[1]) + 1
+    columns, rows = lattice_size(width_m, height_m, voxels, config.max_ascans)
     column, row = np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows)
     profiles = field.lattice(
-        _canonical(column, laterals, field.device),
-        _canonical(np.arange(axials), axials, field.device),
-        _canonical(row, bscans, field.device),
+        canonical_index(column, laterals, field.device),
+        canonical_index(np.arange(axials), axials, field.device),
+        canonical_index(row, bscans, field.device),
     )
     ascans = np.ascontiguousarray(np.moveaxis(profiles.cpu().numpy(), 1, 2))
     pitch_m = (high - low) * spacing / np.array([columns - 1, rows - 1])
@@ -175,24 +195,23 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
         lateral_m=geometry.origin_m[0] + column * geometry.spacing_m[2],
         bscan_m=geometry.origin_m[1] + row * geometry.spacing_m[0],
         typical_step=typical_step,
+        axial_m=geometry.spacing_m[1],
     )
 
 
-def _lattice_size(side_m: NDArray[np.float64], voxels: NDArray[np.int_], most: int) -> tuple[int, int]:
-    """Choose columns and rows of about equal pitch in metres, no finer than the voxels and at most `most` together."""
-    columns, rows = max(int(voxels[0]), 2), max(int(voxels[1]), 2)
-    if columns * rows <= most:
-        return columns, rows
-    wanted = min(max(round(math.sqrt(most * side_m[0] / side_m[1])), 2), columns, most // 2)
-    rows = min(max(most // wanted, 2), rows)
-    return min(columns, max(most // rows, 2)), rows
+def _gentler_step(depth: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Return the step to the next A-scan along an axis: the smaller of the two sides', 0 where their signs differ.
+
+    At an end of the lattice that of the one side there is.
+    """
+    step = np.diff(depth, axis=axis)
+    ends = [step.take([index], axis=axis) for index in (0, -1)]
+    before, after = np.concatenate([ends[0], step], axis=axis), np.concatenate([step, ends[1]], axis=axis)
+    gentler = np.where(np.abs(before) < np.abs(after), before, after)
+    return np.where(before * after > 0, gentler, 0.0)
 
 
 def _odd(size: float, most: int) -> int:
     """Return an odd number of A-scans about `size`: a neighbour on either side at least, if any are asked for."""
     count = 0 if size == 0 else max(3, min(round(size), most))
     return count if count % 2 else count + 1
-
-
-def _canonical(index: NDArray[np.number], count: int, device: torch.device) -> torch.Tensor:
-    return torch.from_numpy((index * (2.0 / (count - 1)) - 1.0).astype(np.float32)).to(device)

@@ -143,7 +143,7 @@ def find_surface(
         raise PlanError(f"expected a positive surface intensity tau, got {tau}")
     began = time.perf_counter()
     surface = coarse_surface(field, points, config.coarse)
-    coarse = surface.depth_at(points, config.break_voxels)
+    coarse = surface.depth_at(points)
     levels = _levels(field, surface, points, tau, config)
     coarse_done = time.perf_counter()
 

@@ -123,7 +123,7 @@ class Lattice:
         if isinstance(source, Volume):
             return self._voxels(source, planes)
         lateral, axial, bscan = (
-            torch.from_numpy((index * (2.0 / (count - 1)) - 1.0).astype(np.float32)).to(source.device)
+            canonical_index(index, count, source.device)
             for index, count in zip(
                 (self.lateral, self.axial, self.bscan[planes]), np.array(self.geometry.shape)[[2, 1, 0]], strict=True
             )
@@ -145,3 +145,25 @@ class Lattice:
         part -= np.float32(low)
         part *= np.float32(1.0 / (high - low))
         return np.clip(part, 0.0, 1.0, out=part)
+
+
+def lattice_size(width_m: float, height_m: float, voxels: tuple[int, int], most: int) -> tuple[int, int]:
+    """Choose columns and rows of A-scans of about equal step in metres.
+
+    Args:
+        width_m: width of what they cover.
+        height_m: its height.
+        voxels: columns and rows of voxels in it; the lattice is no finer.
+        most: largest number of A-scans, at least 4.
+    """
+    columns, rows = (max(count, 2) for count in voxels)
+    if columns * rows <= most:
+        return columns, rows
+    wanted = min(max(round(math.sqrt(most * width_m / height_m)), 2), columns, most // 2)
+    rows = min(max(most // wanted, 2), rows)
+    return min(columns, max(most // rows, 2)), rows
+
+
+def canonical_index(index: NDArray[np.number], count: int, device: torch.device) -> torch.Tensor:
+    """Return the canonical coordinates, float32, of fractional voxel indices along an axis of `count` voxels."""
+    return torch.from_numpy((index * (2.0 / (count - 1)) - 1.0).astype(np.float32)).to(device)

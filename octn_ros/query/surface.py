@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from octn_ros.errors import QueryError
 from octn_ros.field import Field
+from octn_ros.query.lattice import canonical_index, lattice_size
 from octn_ros.settings import check_settings, setting
 
 # A rise of the displayed intensity below this per voxel is rounding, not a surface.
@@ -120,7 +121,7 @@ def surface_map(
     bscans, axials, laterals = geometry.shape
     lateral = _index_range("lateral_range_m", lateral_range_m, geometry.origin_m[0], geometry.spacing_m[2], laterals)
     bscan = _index_range("bscan_range_m", bscan_range_m, geometry.origin_m[1], geometry.spacing_m[0], bscans)
-    columns, rows = _lattice_size(
+    columns, rows = lattice_size(
         (lateral[1] - lateral[0]) * geometry.spacing_m[2],
         (bscan[1] - bscan[0]) * geometry.spacing_m[0],
         (math.ceil(lateral[1] - lateral[0] - 1e-6) + 1, math.ceil(bscan[1] - bscan[0] - 1e-6) + 1),
@@ -128,9 +129,9 @@ def surface_map(
     )
     lateral_index, bscan_index = np.linspace(*lateral, columns), np.linspace(*bscan, rows)
     profiles = field.lattice(
-        _canonical(lateral_index, laterals, field.device),
-        _canonical(np.arange(axials), axials, field.device),
-        _canonical(bscan_index, bscans, field.device),
+        canonical_index(lateral_index, laterals, field.device),
+        canonical_index(np.arange(axials), axials, field.device),
+        canonical_index(bscan_index, bscans, field.device),
     )
     steps_m = (
         (bscan_index[1] - bscan_index[0]) * geometry.spacing_m[0],
@@ -175,20 +176,6 @@ def _index_range(
             f"got {range_m[0] * 1e3:.3f} to {range_m[1] * 1e3:.3f} mm"
         )
     return clipped
-
-
-def _lattice_size(width_m: float, height_m: float, voxels: tuple[int, int], most: int) -> tuple[int, int]:
-    """Choose columns and rows of about equal step in metres, no finer than the voxels and at most `most` together."""
-    columns, rows = (max(count, 2) for count in voxels)
-    if columns * rows <= most:
-        return columns, rows
-    wanted = min(max(round(math.sqrt(most * width_m / height_m)), 2), columns, most // 2)
-    rows = min(max(most // wanted, 2), rows)
-    return min(columns, max(most // rows, 2)), rows
-
-
-def _canonical(index: NDArray[np.number], count: int, device: torch.device) -> torch.Tensor:
-    return torch.from_numpy((index * (2.0 / (count - 1)) - 1.0).astype(np.float32)).to(device)
 
 
 def _largest_rise(
