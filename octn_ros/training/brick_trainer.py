@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -113,6 +114,7 @@ class BrickTrainer:
         self._parameter_moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self._parameters]
         self._step = 0
         self.samples = 0
+        self._compile()
 
     def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> float | None:
         """Do one step; return its mean squared error, None if it was cancelled and nothing has changed.
@@ -140,6 +142,14 @@ class BrickTrainer:
     def evaluate(self, points: Tensor) -> Tensor:
         """Return the model's intensities [N] at canonical points [N, 3]."""
         return CompiledEvaluator(self._model).evaluate(points)
+
+    def _compile(self) -> None:
+        """Run every kernel on nothing, so that no step of the fit waits for the compiler."""
+        bricks, self._bricks = self._bricks, 0
+        self._pass(self._sampler.draw(0, 0))
+        self._bricks = bricks
+        self._update_table(np.float32(0.0), np.float32(0.0), (1.0, 1.0))
+        self.evaluate(torch.zeros(1, 3))
 
     def _pass(self, bricks: Bricks) -> tuple[list[NDArray[np.float32]], float]:
         perceptron = perceptron_of(self._model)

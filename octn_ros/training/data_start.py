@@ -2,62 +2,110 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import sparse
-from torch import nn
+from torch import Tensor, nn
 
-from octn_ros.errors import TrainingError
-from octn_ros.field import NeuralModel
+from octn_ros.field import Field, NeuralModel
 from octn_ros.field.grid_level import GridLevel
-from octn_ros.volume import Volume
+from octn_ros.volume import Volume, VolumeGeometry
 
 
 def start_from_data(model: NeuralModel, volume: Volume) -> None:
-    """Set a model, in place, to the volume averaged over the cells of its finest level.
+    """Set a model, in place, to the volume averaged over the cells of its finest level that stores every vertex.
 
     The first feature of each vertex there becomes the mean of the voxels around it, weighted as interpolation weights
     them: the adjoint of the interpolation, normalised. The first neuron of every layer carries that feature to the
     output unchanged; the other neurons keep their random weights, but begin without a say in the output. So the field
-    before the first step is the interpolated block average, and every parameter can still learn.
+    before the first step is the interpolated block average, and every parameter can still learn. A model whose levels
+    are all hashed is left as it is: a row there stands for many places and has no one average.
 
     Args:
         model: on any device.
         volume: the C-scan; read B-scan by B-scan, not copied.
-
-    Raises:
-        TrainingError: the finest level is hashed: a row there stands for many places and has no one average.
     """
-    level = model.grid.grid_levels[-1]
-    if not level.dense:
-        raise TrainingError(
-            f"expected a finest grid level that stores its {np.prod(level.vertices)} vertices, got one hashed into "
-            f"{level.size} rows; raise log2_table_size, or switch start_from_data off"
-        )
-    average = torch.from_numpy(block_average(volume, level)).flatten().to(model.grid.table.device)
-    column = (len(model.grid.grid_levels) - 1) * model.grid.config.features
+    number = _carrying_level(model)
+    if number is None:
+        return
+    average = block_average(volume.normalized, model.grid.grid_levels[number], volume.geometry)
     hidden = [layer for layer in model.network.hidden if isinstance(layer, nn.Linear)]
     with torch.no_grad():
-        model.grid.table[level.first_row : level.first_row + level.size, 0] = average
-        for number, layer in enumerate(hidden):
+        _carrier(model, number).copy_(torch.from_numpy(average).flatten())
+        for place, layer in enumerate(hidden):
             layer.weight[0] = 0.0
-            layer.weight[0, column if number == 0 else 0] = 1.0
+            layer.weight[0, number * model.grid.config.features if place == 0 else 0] = 1.0
             layer.bias[0] = 0.0
         model.network.output.weight.zero_()
         model.network.output.weight[0, 0] = 1.0
         model.network.output.bias.zero_()
 
 
-def block_average(volume: Volume, level: GridLevel) -> NDArray[np.float32]:
-    """Return the mean intensity around each vertex of a grid level, [bscan, axial, lateral].
+def follow_data(model: NeuralModel, volume: Volume, field: Field, error: Callable[[NeuralModel], float]) -> None:
+    """Move a model, in place, from the scan it was fitted to towards a new one of the same geometry.
+
+    Of three states the one with the least error is kept: the model as it is; with the block average of what the new
+    scan has more than the field added to the feature that carries block averages, which serves small changes; and
+    begun anew by `start_from_data`, which serves large ones.
+
+    Args:
+        model: a copy of the field's model, on any device.
+        volume: the new C-scan.
+        field: the field of the model as it is.
+        error: how far a model is from the new scan.
+    """
+    number = _carrying_level(model)
+    if number is None:
+        return
+    bscan, axial, lateral = (torch.linspace(-1.0, 1.0, n, device=field.device) for n in volume.geometry.shape)
+
+    def difference(index: tuple[int]) -> NDArray[np.float32]:
+        rendered = field.lattice(lateral, axial, bscan[index[0] : index[0] + 1])[0]
+        return volume.normalized(index) - rendered.cpu().numpy()
+
+    change = torch.from_numpy(block_average(difference, model.grid.grid_levels[number], volume.geometry)).flatten()
+    states = [(error(model), _copied(model))]
+    with torch.no_grad():
+        _carrier(model, number).add_(change.to(model.grid.table.device))
+    states.append((error(model), _copied(model)))
+    start_from_data(model, volume)
+    states.append((error(model), _copied(model)))
+    model.load_state_dict(min(states, key=lambda state: state[0])[1])
+
+
+def _copied(model: NeuralModel) -> dict[str, Tensor]:
+    return {name: parameter.clone() for name, parameter in model.state_dict().items()}
+
+
+def _carrying_level(model: NeuralModel) -> int | None:
+    dense = [number for number, level in enumerate(model.grid.grid_levels) if level.dense]
+    return dense[-1] if dense else None
+
+
+def _carrier(model: NeuralModel, number: int) -> Tensor:
+    """Return a view of the first feature of a level's vertices."""
+    level = model.grid.grid_levels[number]
+    return model.grid.table.detach()[level.first_row : level.first_row + level.size, 0]
+
+
+def block_average(
+    plane: Callable[[tuple[int]], NDArray[np.float32]], level: GridLevel, geometry: VolumeGeometry
+) -> NDArray[np.float32]:
+    """Return the mean around each vertex of a grid level, [bscan, axial, lateral], of values at a volume's voxels.
 
     A voxel counts for the vertices of its cell as interpolation weights them, which is separable by axis. A vertex
     that no voxel reaches, where cells are finer than voxels, takes the mean of the vertices beside it.
+
+    Args:
+        plane: gives the values [axial, lateral] of the B-scan whose index it gets.
+        level: the level.
+        geometry: of the volume.
     """
-    bscans, axials, laterals = volume.geometry.shape
+    bscans, axials, laterals = geometry.shape
     (lateral_scale, axial_scale, bscan_scale), (columns, rows, layers) = level.scale, level.vertices
     to_columns, to_rows, to_layers = (
         _averages(count, scale, vertices)
@@ -67,7 +115,7 @@ def block_average(volume: Volume, level: GridLevel) -> NDArray[np.float32]:
     )  # fmt: skip
     planes = np.empty((bscans, rows * columns), np.float32)
     for bscan in range(bscans):
-        across = (to_columns @ volume.normalized((bscan,)).T).T
+        across = (to_columns @ plane((bscan,)).T).T
         planes[bscan] = (to_rows @ across).ravel()
     return np.asarray(to_layers @ planes, np.float32).reshape(layers, rows, columns)
 

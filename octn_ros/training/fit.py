@@ -17,11 +17,11 @@ from octn_ros.field.backend import choose_backend
 from octn_ros.metrics import psnr_from_error_db
 from octn_ros.settings import as_plain
 from octn_ros.training.config import FitConfig
-from octn_ros.training.data_start import start_from_data
+from octn_ros.training.data_start import follow_data, start_from_data
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.training.held_in import HeldInVoxels, psnr_of_field
 from octn_ros.training.noise import noise_variance
-from octn_ros.training.point_trainer import PointTrainer
+from octn_ros.training.point_trainer import PointTrainer, without_graph
 from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
 from octn_ros.training.sampling import ResidentVoxels, VoxelSampler
 from octn_ros.volume import Volume
@@ -97,6 +97,8 @@ def fit(
     if start is not None:
         config = dataclasses.replace(config, field=start.config)
         model = _model_of(start, volume).to(device)
+        if config.start_from_data:
+            follow_data(model, volume, start, lambda here: held_in.mean_squared_error(without_graph(here)))
     else:
         config = dataclasses.replace(config, field=config.field.for_volume(volume.geometry))
         model = _seeded_model(config, volume, held_in.mean)

@@ -51,6 +51,15 @@ class PointTrainer:
 
     def evaluate(self, points: Tensor) -> Tensor:
         """Return the model's intensities [N] at canonical points [N, 3], without a graph."""
+        return without_graph(self._model)(points)
+
+
+def without_graph(model: NeuralModel) -> Callable[[Tensor], Tensor]:
+    """Return the function that answers for a model's intensities [N] at canonical points [N, 3] and keeps no graph."""
+
+    def evaluate(points: Tensor) -> Tensor:
         with torch.no_grad():
-            values: Tensor = self._model(points)
+            values: Tensor = model(points)
         return values
+
+    return evaluate

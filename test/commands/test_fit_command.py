@@ -38,18 +38,22 @@ def test_a_fit_writes_a_field_and_one_json_object(scan_file, tmp_path, capsys):
     assert values["config"] == field.description.training["config"]
 
 
-def test_a_target_and_a_start_field_shorten_the_fit(scan_file, field_file, tmp_path, capsys):
-    capsys.readouterr()  # what the field's own fit printed
-    output = tmp_path / "again.safetensors"
-    more = ("--target-psnr-db", "20", "--steps", "200", "--device", "cpu", "--json")
-    steps = []
-    for start in ((), ("--start", str(field_file))):
-        assert fit(scan_file, output, *more, *start) == 0
-        values = json.loads(capsys.readouterr().out)
-        assert values["ended"] == "target"
-        assert values["psnr_db"] >= 19
-        steps.append(values["steps"])
-    assert 200 > steps[0] > steps[1] == 0
+def test_a_target_and_a_start_field_shorten_the_fit(scan_file, tmp_path, capsys):
+    output, again = tmp_path / "field.safetensors", tmp_path / "again.safetensors"
+    more = ("--steps", "300", "--device", "cpu", "--json")
+
+    def fitted(path, *options):
+        assert fit(scan_file, path, *more, *options) == 0
+        return json.loads(capsys.readouterr().out)
+
+    whole = fitted(output)
+    assert whole["ended"] == "steps"
+    target = 0.5 * (whole["history"][0]["psnr_db"] + whole["history"][-1]["psnr_db"])
+    assert target < whole["history"][-1]["psnr_db"]
+    options = ("--target-psnr-db", str(target))
+    anew, warm = fitted(again, *options), fitted(again, "--start", str(output), *options)
+    assert anew["ended"] == warm["ended"] == "target"
+    assert 300 > anew["steps"] > warm["steps"] == 0
 
 
 def test_a_picture_on_request(scan_file, tmp_path, capsys):

@@ -114,6 +114,20 @@ def test_nothing_to_evaluate():
     assert evaluator.lattice(axis, axis, axis[:0]).shape == (0, 3, 3)
 
 
+def test_nowhere_has_no_intensity():
+    model = random_model(CONFIGS[0].values[0], SHAPES[0])
+    points = torch.zeros(70, 3)
+    points[3, 1], points[66, 2], points[5, 0] = torch.nan, torch.nan, torch.inf
+    values, gradients = CompiledEvaluator(model).value_and_gradient(points)
+    nowhere = torch.zeros(70, dtype=torch.bool)
+    nowhere[[3, 66]] = True
+    assert torch.equal(values.isnan(), nowhere)
+    assert torch.equal(gradients.isnan().any(dim=1), nowhere)
+    axis = torch.tensor([0.0, torch.nan, 0.5])
+    lattice = CompiledEvaluator(model).lattice(axis, axis[:1], axis[::2])
+    assert torch.equal(lattice.isnan(), torch.tensor([[[False, True, False]]] * 2))
+
+
 def test_the_network_is_padded_and_the_table_shared():
     model = random_model(
         NeuralFieldConfig(HashGridConfig(levels=1, features=3), NetworkConfig(2, 5)), SHAPES[0]

@@ -10,7 +10,7 @@ from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig, Neu
 from octn_ros.field.compiled.model import linear_layers
 from octn_ros.field.compiled.options import BRICK
 from octn_ros.simulation import PhantomConfig, make_phantom
-from octn_ros.training import brick_trainer
+from octn_ros.training import FitConfig, brick_trainer, fit
 from octn_ros.training.brick_trainer import BRICK_SAMPLES, BrickSampler, BrickTrainer
 from octn_ros.training.sampling import ResidentVoxels
 from octn_ros.volume import Volume, VolumeGeometry
@@ -161,3 +161,31 @@ def test_it_learns_and_can_be_cancelled(volume):
     before = model.grid.table.detach().clone()
     assert trainer.step(1e-2, 0.2, lambda: True) is None
     assert torch.equal(model.grid.table, before)
+
+
+def test_a_spoilt_parameter_shows_in_the_loss(volume):
+    """A fit that diverged is told by its loss, so NaN and infinity must pass through the kernels."""
+    for spoilt in (float("nan"), float("inf")):
+        model = model_of(CONFIGS[0].values[0])
+        trainer = BrickTrainer(model, volume, 4 * BRICK_SAMPLES, seed=0)
+        with torch.no_grad():
+            model.network.output.bias.fill_(spoilt)
+        assert not np.isfinite(trainer.step(1e-2, 0.2, never))
+
+
+def test_a_compiled_fit_that_diverges_keeps_its_last_good_state(volume, monkeypatch):
+    step, count = BrickTrainer.step, iter(range(1000))
+
+    def spoils(self, rate, alpha, cancelled):
+        if next(count) == 30:
+            with torch.no_grad():
+                self._model.network.output.bias.fill_(float("nan"))
+        return step(self, rate, alpha, cancelled)
+
+    monkeypatch.setattr(BrickTrainer, "step", spoils)
+    config = FitConfig(field=CONFIGS[0].values[0], batch=1 << 14, steps=100, backend="compiled")
+    result = fit(volume, config)
+    assert result.ended == "diverged"
+    assert 0 < result.steps <= 30
+    assert np.isfinite(result.psnr_db)
+    assert result.field.description.training["backend"] == "compiled"

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, HashGridConfig, NetworkConfig, NeuralField, NeuralFieldConfig, NeuralModel
 from octn_ros.metrics import psnr_db
 from octn_ros.simulation import PhantomConfig, make_phantom
-from octn_ros.training import PRESETS, fit
+from octn_ros.training import PRESETS, fit, psnr_of_field
 from octn_ros.training.data_start import block_average, start_from_data
 from octn_ros.volume import Volume, gaussian_filter
 
@@ -53,7 +52,7 @@ def test_each_vertex_holds_the_mean_that_interpolation_weights():
     """Against the definition, vertex by vertex: sum of weight times voxel over sum of weights."""
     volume = volume_of(np.random.default_rng(0).random((9, 12, 10)))
     level = model_of(shape=(9, 12, 10)).grid.grid_levels[-1]
-    average = block_average(volume, level)
+    average = block_average(volume.normalized, level, volume.geometry)
     weights = []
     for count, scale, vertices in zip((10, 12, 9), level.scale, level.vertices, strict=True):
         position = np.linspace(0, 1, count) * scale + 0.5
@@ -92,8 +91,32 @@ def test_the_fit_begins_there_and_improves():
     assert begun.psnr_db > plain.psnr_db + 5
 
 
-def test_a_hashed_finest_level_is_refused():
+def test_levels_that_store_no_vertex_of_their_own_are_passed_over():
     volume = make_phantom(PhantomConfig(shape=(24, 80, 48))).volume
-    field = dataclasses.replace(PRESETS["fast"].field, grid=dataclasses.replace(GRID, log2_table_size=6))
-    with pytest.raises(TrainingError, match=r"hashed into 64 rows; raise log2_table_size, or switch start_from_data"):
-        fit(volume, dataclasses.replace(PRESETS["fast"], field=field))
+    base = dataclasses.replace(PRESETS["fast"], steps=1, time_budget_s=0.0, learning_rate=1e-6)
+    psnr = []
+    for log2_table_size in (20, 11, 4):
+        grid = dataclasses.replace(GRID, log2_table_size=log2_table_size)
+        field = dataclasses.replace(base.field, grid=grid)
+        psnr.append(fit(volume, dataclasses.replace(base, field=field)).psnr_db)
+    assert psnr[0] > psnr[1] + 1 > psnr[2] + 5
+
+
+def test_a_warm_start_follows_what_changed():
+    config = PhantomConfig(shape=(24, 80, 48))
+    crater_m = np.zeros((24, 48))
+    crater_m[6:18, 12:36] = 200e-6
+    before, after = make_phantom(config), make_phantom(dataclasses.replace(config, seed=1), crater_m)
+    short = dataclasses.replace(PRESETS["fast"], batch=4096, steps=60, time_budget_s=0.0)
+    first = fit(before.volume, short)
+    still = dataclasses.replace(short, steps=1, learning_rate=1e-6)
+    warm, anew = fit(after.volume, still, start=first.field), fit(after.volume, still)
+    assert warm.psnr_db > psnr_of_field(first.field, after.volume) + 3
+    assert warm.psnr_db > anew.psnr_db - 0.01
+    same = fit(make_phantom(dataclasses.replace(config, seed=2)).volume, still, start=first.field)
+    assert same.psnr_db > first.psnr_db - 0.2
+    # A field that began otherwise is not made worse.
+    plain = dataclasses.replace(short, start_from_data=False, learning_rate=1e-2)
+    other = fit(before.volume, plain)
+    kept = fit(after.volume, dataclasses.replace(short, steps=1, learning_rate=1e-6), start=other.field)
+    assert kept.psnr_db > psnr_of_field(other.field, after.volume) - 0.01

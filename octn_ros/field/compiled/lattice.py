@@ -32,6 +32,9 @@ def evaluate_lattice(
         )  # fmt: skip
 
     list(workers().map(slab, range(0, len(bscan), BRICK)))
+    answer[np.isnan(bscan)] = np.nan
+    answer[:, np.isnan(axial)] = np.nan
+    answer[:, :, np.isnan(lateral)] = np.nan
     return answer
 
 

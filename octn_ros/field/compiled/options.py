@@ -8,7 +8,14 @@ from typing import Any
 BRICK = 8
 TILE = BRICK * BRICK
 
-# Compiled code is cached beside the package, or in the user's cache where that cannot be written. Reassociation of
-# sums (fastmath) is what lets loops use vector registers; results differ from the reference by rounding only. The
-# kernels release the interpreter lock, so that plain threads run them side by side.
-KERNEL: dict[str, Any] = {"nogil": True, "fastmath": True, "cache": True, "error_model": "numpy"}
+# Compiled code is cached beside the package, or in the user's cache where that cannot be written. The cache notices a
+# change of a kernel's own file, not of one that it calls or of these options: after editing kernels, delete the *.nbi
+# and *.nbc files. Reassociation and contraction are what lets loops use vector registers; results differ from the
+# reference by rounding only. NaN and infinity keep their meaning, since a diverged fit is told by them. The kernels
+# release the interpreter lock, so that plain threads run them side by side.
+KERNEL: dict[str, Any] = {
+    "nogil": True,
+    "fastmath": {"reassoc", "contract", "arcp", "nsz"},
+    "cache": True,
+    "error_model": "numpy",
+}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from octn_ros.field.compiled.layers import gate, multiply, run_hidden, run_output
 from octn_ros.field.compiled.model import Encoding, Perceptron, workers
 from octn_ros.field.compiled.options import KERNEL, TILE
+from octn_ros.field.compiled.walk import position_of
 
 # Tiles that a thread takes at a time: enough to be worth the handing over, few enough to share the work evenly.
 _TILES = 64
@@ -22,7 +23,8 @@ def evaluate_points(
     """Return intensities [N] and, if asked for, their exact gradients [N, 3] at canonical points [N, 3].
 
     Order of points and gradients: (lateral, axial, bscan). At a cell face the gradient is that of the cell on the far
-    side; outside the cube it is zero along the clamped axes. Without `gradients` the second array is empty.
+    side; outside the cube it is zero along the clamped axes. Both are NaN at a point that is. Without `gradients` the
+    second array is empty.
     Thread-safe; the answer does not depend on the number of threads.
     """
     count = len(points)
@@ -38,6 +40,10 @@ def evaluate_points(
         )  # fmt: skip
 
     list(workers().map(part, range(0, count, chunk)))
+    nowhere = np.flatnonzero(np.isnan(points).any(axis=1))
+    values[nowhere] = np.nan
+    if gradients:
+        gradient[nowhere] = np.nan
     return values, gradient
 
 
@@ -155,8 +161,7 @@ def _encode_point(
 @njit(**KERNEL)
 def _cell(coordinate: np.float32, scale: np.float32, smooth: bool) -> tuple[int, np.float32, np.float32]:
     """Return the cell of a canonical coordinate, the share of its far vertex, and that share's slope per unit."""
-    unit = (min(max(coordinate, np.float32(-1.0)), np.float32(1.0)) + np.float32(1.0)) * np.float32(0.5)
-    position = unit * scale + np.float32(0.5)
+    position = position_of(coordinate, scale)
     cell = np.int64(math.floor(position))
     share = position - np.float32(cell)
     slope = scale

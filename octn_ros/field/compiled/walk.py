@@ -19,6 +19,15 @@ MOST_VERTICES = 2 * BRICK
 
 
 @njit(**KERNEL)
+def position_of(coordinate: np.float32, scale: np.float32) -> np.float32:
+    """Return the position in cells, half a cell in, of a canonical coordinate held in [-1, 1]; NaN counts as -1."""
+    held = np.float32(-1.0)
+    if coordinate > held:
+        held = min(coordinate, np.float32(1.0))
+    return (held + np.float32(1.0)) * np.float32(0.5) * scale + np.float32(0.5)
+
+
+@njit(**KERNEL)
 def walk_axis(
     coordinates: NDArray[np.float32],
     scale: np.float32,
@@ -42,8 +51,7 @@ def walk_axis(
     """
     count = 0
     for k in range(BRICK):
-        unit = (min(max(coordinates[k], np.float32(-1.0)), np.float32(1.0)) + np.float32(1.0)) * np.float32(0.5)
-        position = unit * scale + np.float32(0.5)
+        position = position_of(coordinates[k], scale)
         cell = np.int64(math.floor(position))
         weight = position - np.float32(cell)
         if count >= 2 and numbers[count - 2] == cell:
