@@ -12,8 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from octn_ros.errors import CalibrationError
-from octn_ros.planning.point_fit import nearest_turn
-from octn_ros.planning.transforms import from_rotation, invert
+from octn_ros.planning.transforms import from_rotation, invert, nearest_rotation
 
 # Turns between the poses of the arm, RMS about the second most used axis, below which an axis is not seen.
 LEAST_TURN_RAD = math.radians(2.0)
@@ -86,7 +85,7 @@ def hand_eye_from_points(ee2base: NDArray[np.float64], points_oct: NDArray[np.fl
     system = np.concatenate([*blocks, np.broadcast_to(-np.eye(3), turns.shape)], axis=2).reshape(-1, 3 * (seen + 2))
     solution = np.linalg.lstsq(system, -shifts.reshape(-1), rcond=None)[0].reshape(-1, 3)
     images = solution[1 : 1 + seen] / spread[:seen, None]
-    rotation = nearest_turn(images.T @ directions[:seen])
+    rotation = nearest_rotation(images.T @ directions[:seen])
     start = from_rotation(solution[0] - rotation @ middle, rotation)
 
     def misses(oct2ee: NDArray[np.float64], fiducial: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -116,7 +115,7 @@ def hand_eye_from_poses(ee2base: NDArray[np.float64], fiducial2oct: NDArray[np.f
     first, second = np.triu_indices(len(poses), 1)
     hand = invert(poses[first]) @ poses[second]
     eye = seen[first] @ invert(seen[second])
-    rotation = nearest_turn(_turns(hand).T @ _turns(eye))
+    rotation = nearest_rotation(_turns(hand).T @ _turns(eye))
     system = (hand[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     wanted = (eye[:, :3, 3] @ rotation.T - hand[:, :3, 3]).reshape(-1)
     start = from_rotation(np.linalg.lstsq(system, wanted, rcond=None)[0], rotation)

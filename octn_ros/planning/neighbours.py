@@ -12,6 +12,8 @@ _SIGMAS = 4.5
 # Tukey's biweight keeps 95 % efficiency on normal noise with this many standard deviations.
 _TUKEY = 4.685
 _SCALE_OF_MAD = 1.4826
+# Points that are looked at together, which keeps their temporaries below some 20 MB.
+_CHUNK = 4096
 # Directions in which half of the neighbours is asked where all of them disagree, as on either side of a cliff.
 _HALVES = 8
 
@@ -56,13 +58,38 @@ def deviation_from_neighbours(
         deviation[known], scatter[known] = 0.0, 0.0
         return deviation, scatter
     places = points_m[known]
-    near = cKDTree(places).query(places, k=count + 1)[1][:, 1:]
-    away = places[near] - places[:, None]
-    rise, other_rise = (values[near] - values[:, None] for values in (depth_m[known], (depth_m - shape_m)[known]))
+    tree, rough = cKDTree(places), (depth_m - shape_m)[known]
+    for start in range(0, len(known), _CHUNK):
+        some = slice(start, start + _CHUNK)
+        near = tree.query(places[some], k=count + 1)[1][:, 1:]
+        away = places[near] - places[some, None]
+        rise, other_rise = (values[near] - values[some, None] for values in (depth_m[known], rough))
+        found, spread = _held_against(away, rise, other_rise, floor_m, least_m, limit_m)
+        deviation[known[some]], scatter[known[some]] = -found, spread
+    return deviation, scatter
+
+
+def _held_against(
+    away: NDArray[np.float64],
+    rise: NDArray[np.float64],
+    other_rise: NDArray[np.float64],
+    floor_m: float,
+    least_m: float,
+    limit_m: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Height of the neighbours' plane at points [N] and their scatter about it [N].
+
+    Args:
+        away: from each point to its neighbours [N, K, 2].
+        rise: depths of the neighbours less its own [N, K].
+        other_rise: the same with the rougher surface taken off.
+        floor_m: see `deviation_from_neighbours`, as for the rest.
+        least_m, limit_m: likewise.
+    """
     found, spread = _plane_at_centre(away, rise, np.ones(rise.shape), floor_m)
     doubted = np.flatnonzero((np.abs(found) > allowed_deviation(spread, least_m, limit_m)) | (spread > limit_m / 2))
     for side in [None, *range(_HALVES)] if len(doubted) else []:
-        ask, differences, asked = doubted, other_rise[doubted], np.ones((len(doubted), count))
+        ask, differences, asked = doubted, other_rise[doubted], np.ones((len(doubted), rise.shape[1]))
         if side is not None:
             angle = 2 * np.pi * side / _HALVES
             there = away[doubted] @ np.array([np.cos(angle), np.sin(angle)]) >= -1e-9
@@ -71,8 +98,7 @@ def deviation_from_neighbours(
         one, its_spread = _plane_at_centre(away[ask], differences, asked, floor_m)
         better = (its_spread < spread[ask]) & (np.abs(one) <= allowed_deviation(its_spread, least_m, limit_m))
         found[ask[better]], spread[ask[better]] = one[better], its_spread[better]
-    deviation[known], scatter[known] = -found, spread
-    return deviation, scatter
+    return found, spread
 
 
 def _plane_at_centre(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import CalibrationError
-from octn_ros.planning.transforms import from_rotation
+from octn_ros.planning.transforms import from_rotation, nearest_rotation
 
 # Points whose second direction spreads less than this share of the first lie on a line, as far as a fit can tell.
 _LINE_SHARE = 1e-3
@@ -80,14 +80,8 @@ def fit_points(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> 
 def kabsch(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return A2B [4, 4] with the least sum of squares between mapped a [N, 3] and b [N, 3]; they are not checked."""
     middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
-    rotation = nearest_turn((b - middle_b).T @ (a - middle_a))
+    rotation = nearest_rotation((b - middle_b).T @ (a - middle_a))
     return from_rotation(middle_b - rotation @ middle_a, rotation)
-
-
-def nearest_turn(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation R [3, 3] with the largest trace of R^T C: what turns A onto B if C = sum b a^T."""
-    left, _, right = np.linalg.svd(covariance)
-    return np.asarray(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right, dtype=np.float64)
 
 
 def _distance(a2b: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

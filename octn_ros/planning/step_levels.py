@@ -52,9 +52,13 @@ class StepLevels:
         return cls(above, below, np.sqrt(step * rise), near, box)
 
     def candidates(self, count: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-        """Return the `count` strongest separate places of each A-scan and their strengths [bscan, lateral, count]."""
+        """Return the strongest separate places of each A-scan and their strengths, [bscan, lateral, count] each.
+
+        Fewer than `count` in A-scans with fewer places.
+        """
         summit = ndimage.maximum_filter1d(self.strength, 4 * self.box + 1, axis=-1, mode="nearest") == self.strength
         peaks = np.where(summit, self.strength, 0.0)
+        count = min(count, peaks.shape[-1])
         place = np.argpartition(peaks, -count, axis=-1)[..., -count:]
         return place, np.take_along_axis(peaks, place, axis=-1)
 

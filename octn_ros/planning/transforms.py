@@ -41,9 +41,8 @@ def make_rigid(matrix: Any) -> tuple[NDArray[np.float64], float]:
         raise CalibrationError(
             f"expected 0 0 0 1 in the last row of the transform, got {given[3].tolist()}; is it transposed?"
         )
-    left, _, right = np.linalg.svd(given[:3, :3])
-    # The sign keeps the result a rotation: a mirrored matrix then lies far from it and is refused below.
-    rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    # It is a rotation in any case: a mirrored matrix lies far from it and is refused below.
+    rotation = nearest_rotation(given[:3, :3])
     deviation = float(np.max(np.abs(rotation - given[:3, :3])))
     if deviation > RIGID_TOLERANCE:
         raise CalibrationError(
@@ -52,6 +51,15 @@ def make_rigid(matrix: Any) -> tuple[NDArray[np.float64], float]:
             "directions of the scanner, a scale in its spacing, never in the calibration"
         )
     return from_rotation(given[:3, 3], rotation), deviation
+
+
+def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation R [3, 3] nearest to a matrix C [3, 3], the one with the largest trace of R^T C.
+
+    Of C = sum b a^T over matched vectors that is the rotation which turns a onto b with the least sum of squares.
+    """
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right, dtype=np.float64)
 
 
 def from_rotation(translation_m: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -70,10 +78,15 @@ def from_translation_quaternion(translation_m: Any, quaternion_xyzw: Any) -> NDA
         quaternion_xyzw: (x, y, z, w), of length 1 within 1e-3.
 
     Raises:
-        CalibrationError: the numbers are not finite, or the quaternion is not of unit length.
+        CalibrationError: they are not 3 + 4 finite numbers, or the quaternion is not of unit length.
     """
-    translation = np.asarray(translation_m, dtype=np.float64)
-    quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
+    try:
+        translation = np.asarray(translation_m, dtype=np.float64)
+        quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise CalibrationError(
+            f"expected 3 + 4 numbers of a pose, got {translation_m!r} and {quaternion_xyzw!r}"
+        ) from None
     if translation.shape != (3,) or quaternion.shape != (4,):
         raise CalibrationError(f"expected 3 + 4 numbers of a pose, got {translation.shape} and {quaternion.shape}")
     length = float(np.linalg.norm(quaternion))

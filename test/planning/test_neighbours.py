@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -64,3 +66,19 @@ def test_points_on_one_line_have_a_plane_too():
     depth[12] -= 50e-6
     found, _ = deviation_from_neighbours(line, depth, 1e-3 + 0.5 * line[:, 0], 8, FLOOR, LEAST, LIMIT)
     assert found[12] == pytest.approx(-50e-6, abs=0.5e-6)
+
+
+def test_many_points_are_taken_in_parts():
+    side = np.arange(200) * 50e-6
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    depth = 1e-3 + places @ (0.4, -0.2)
+    depth[::1000] += 40e-6
+    tracemalloc.start()
+    try:
+        found, _ = deviation_from_neighbours(places, depth, places @ (0.4, -0.2), 24, FLOOR, LEAST, LIMIT)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_allclose(found[::1000], 40e-6, atol=0.1e-6)
+    assert np.abs(np.delete(found, np.arange(0, len(depth), 1000))).max() < 0.1e-6
+    assert peak < 60e6  # all at once they take 170 MB

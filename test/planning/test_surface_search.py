@@ -6,8 +6,16 @@ import torch
 
 from octn_ros.errors import ConfigurationError, PlanError
 from octn_ros.metrics import surface_distance
-from octn_ros.planning import GiveUp, RasterPattern, SurfaceSearchConfig, find_surface, rectangle_raster
+from octn_ros.planning import (
+    CoarseSurfaceConfig,
+    GiveUp,
+    RasterPattern,
+    SurfaceSearchConfig,
+    find_surface,
+    rectangle_raster,
+)
 from octn_ros.planning.axial_root import AxialLines, Brackets, bracket_rises, refine_roots
+from octn_ros.planning.step_levels import StepLevels
 
 TAU = 0.4  # the middle of air and tissue, so that the level set is the true surface
 RASTER = rectangle_raster((2e-4, -1e-4), (8e-4, 7e-4), 0.0)
@@ -167,6 +175,13 @@ def test_one_point_and_a_corner_of_the_field_will_do(plane_field):
     search = find_surface(plane_field, points_of(np.stack([low, high])), TAU)
     assert not search.given_up.any()
     assert not find_surface(plane_field, points_of(low[None]), TAU).given_up.any()
+
+
+def test_more_candidates_than_an_ascan_has_places(plane_field):
+    config = SurfaceSearchConfig(coarse=CoarseSurfaceConfig(candidates=32))
+    levels = StepLevels.of(np.zeros((3, 3, 8), dtype=np.float32), 5.0, (0, 0))
+    assert levels.candidates(32)[0].shape == (3, 3, 9)
+    assert not find_surface(plane_field, RASTER, TAU, config).given_up.any()
 
 
 def test_a_field_upside_down_has_no_surface(make_field):

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from octn_ros.errors import CalibrationError
 from octn_ros.planning import from_translation_quaternion, invert, make_rigid, quaternions_xyzw
+from octn_ros.planning.transforms import nearest_rotation
 
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
 
@@ -69,11 +70,20 @@ def test_quarter_turn_about_z_by_hand():
         ((0, 0, np.nan), (0, 0, 0, 1)),
         ((0, 0, 0), (0, 0, np.nan, 1)),
         ((0, 0), (0, 0, 0, 1)),
+        ((0, (0, 0), 0), (0, 0, 0, 1)),
+        ((0, 0, 0), "turned"),
     ],
 )
 def test_poses_that_are_none(translation, quaternion):
     with pytest.raises(CalibrationError, match="expected"):
         from_translation_quaternion(translation, quaternion)
+
+
+def test_the_nearest_rotation_turns_matched_vectors_even_in_a_plane():
+    turn = Rotation.from_rotvec((0.3, -0.8, 0.5)).as_matrix()
+    vectors = np.random.default_rng(0).standard_normal((3, 7)) * ((1.0,), (2.0,), (0.0,))
+    np.testing.assert_allclose(nearest_rotation(turn @ vectors @ vectors.T), turn, atol=1e-12)
+    assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
 
 
 def test_quaternions_do_not_flip_along_a_path():
