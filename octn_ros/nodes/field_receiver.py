@@ -64,9 +64,12 @@ class FieldReceiver:
         try:
             data = conversions.field_data(message)
             field = loads_field(data, self._device)
+            stamp_ns = conversions.stamp_to_ns(message.header.stamp)
+            received = ReceivedField(field, field_hash(data), stamp_ns, message.header.frame_id)
+            self._received(received)
         except OctnError as error:
             self._refused(str(error))
-            return
-        stamp_ns = conversions.stamp_to_ns(message.header.stamp)
-        self._current = ReceivedField(field, field_hash(data), stamp_ns, message.header.frame_id)
-        self._received(self._current)
+        except Exception as error:  # a fault of ours, or the device's memory is full: the node lives on
+            self._refused(f"{type(error).__name__}: {error}")
+        else:
+            self._current = received

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 from urllib.parse import unquote, urlparse
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import LoadMap
-from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage, Image
@@ -26,7 +25,7 @@ from octn_ros.field.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes import conversions, process, qos, status
 from octn_ros.nodes.bscan_pairs import BScanPairs
 from octn_ros.nodes.parameters import ConfigParameters
-from octn_ros.nodes.pose_history import PoseHistory
+from octn_ros.nodes.pose_history import PoseHistory, StampedPose
 from octn_ros.nodes.worker import Worker
 from octn_ros.query import enface
 from octn_ros.settings import check_settings, setting
@@ -74,11 +73,14 @@ class TrainerConfig:
 
 @dataclass(frozen=True)
 class Scan:
-    """A complete C-scan and where the end effector was at its stamp (None if unknown)."""
+    """A complete C-scan and the end effector's pose nearest to its stamp (None if unknown)."""
 
     volume: Volume
-    ee2base: NDArray[np.float64] | None
-    base_frame: str
+    pose: StampedPose | None = None
+
+    def gap_ns(self, pose: StampedPose) -> int:
+        """Return how far from the scan's stamp a pose was taken."""
+        return abs(pose.stamp_ns - self.volume.stamp_ns)
 
 
 class Trainer(Node):
@@ -97,7 +99,8 @@ class Trainer(Node):
         self._assembler: CScanAssembler | None = None
         self._assembled_with: tuple[Any, ...] = ()
         self._pairs, self._poses = BScanPairs(), PoseHistory()
-        self._base_frame = ""
+        self._accepting = threading.Lock()  # scans come from two callback groups; the last one to come stays
+        self._publishing = threading.Lock()  # held from the question which scan is the present one to the answer
         self._scan: Scan | None = None
         self._fitted: NeuralField | None = None  # the last one, of the worker's thread alone
         self._last_drop = "", 0
@@ -114,7 +117,8 @@ class Trainer(Node):
         self.create_subscription(PoseStamped, "ee_pose", self._on_ee_pose, qos.STREAM)
         self.create_service(LoadMap, "load_cscan", self._load_cscan, callback_group=files)
         self.create_service(Trigger, "refit", self._refit)
-        self.create_service(Trigger, "cancel", self._cancel)
+        # In a group of its own: it waits for nothing.
+        self.create_service(Trigger, "cancel", self._cancel, callback_group=MutuallyExclusiveCallbackGroup())
         self.get_logger().info(f"ready: preset {config.preset}, device {self._device}")
 
     def destroy_node(self) -> None:
@@ -136,11 +140,12 @@ class Trainer(Node):
         image, pose = pair
         try:
             volume = self._assemble(image, pose)
+            if volume is not None:
+                self._accept(volume)
         except OctnError as error:
             self._drop(f"C-scan dropped: {error}")
-            return
-        if volume is not None:
-            self._accept(volume)
+        except Exception as error:  # a fault of ours, or memory that ran out: the node lives on
+            self._drop(f"C-scan dropped: {_fault(error)}")
 
     def _drop(self, reason: str) -> None:
         """Report why a B-scan was not taken; the same reason for the next hundreds of them is said once a second."""
@@ -172,8 +177,12 @@ class Trainer(Node):
         except OctnError as error:
             self.get_logger().warning(f"ee_pose ignored: {error}", throttle_duration_sec=5.0)
             return
-        self._base_frame = message.header.frame_id
-        self._poses.add(conversions.stamp_to_ns(message.header.stamp), pose)
+        stamped = StampedPose(conversions.stamp_to_ns(message.header.stamp), pose, message.header.frame_id)
+        self._poses.add(stamped)
+        with self._publishing:
+            # It may be nearer to the scan than those that had come before the scan was complete.
+            if self._place(stamped):
+                self._publish_pose()
 
     # --- C-scans from files
 
@@ -186,15 +195,15 @@ class Trainer(Node):
                 raise VolumeError(f"{path}: no such file or folder; expected a C-scan, as a path or a file:// URL")
             response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
             volume = self._read(path)
-            response.map = conversions.to_grid(enface(volume), volume.geometry, volume.stamp_ns)
+            response.result = LoadMap.Response.RESULT_UNDEFINED_FAILURE
+            response.map = self._accept(volume)
+            response.result = LoadMap.Response.RESULT_SUCCESS
         except (OctnError, OSError) as error:
             self._progress.report(status.ERROR, f"load_cscan refused: {error}", {"state": "refused"})
-            return response
         except MemoryError:
             self._progress.report(status.ERROR, "load_cscan refused: the file is too large", {"state": "refused"})
-            return response
-        self._accept(volume)
-        response.result = LoadMap.Response.RESULT_SUCCESS
+        except Exception as error:  # a fault of ours: the node and its callers live on
+            self._progress.report(status.ERROR, f"load_cscan failed: {_fault(error)}", {"state": "failed"})
         return response
 
     def _read(self, path: Path) -> Volume:
@@ -212,61 +221,88 @@ class Trainer(Node):
 
     # --- fits
 
-    def _accept(self, volume: Volume) -> None:
-        # Both now and after the fit: now the pose is remembered for certain, later the nearest one has come.
-        scan = self._scan = Scan(volume, None, "")
-        scan = self._place(scan)
-        self._enface.publish(conversions.to_grid(enface(volume), volume.geometry, volume.stamp_ns))
-        self._publish(scan, dumps_field(InterpolatedField(volume), half=True))
-        self._start_fit(scan)
+    def _accept(self, volume: Volume) -> OccupancyGrid:
+        """Make a scan the present one, publish what is known of it at once, and fit it; return its en-face view."""
+        with self._accepting:
+            # All that can fail comes first, so that a failure leaves the last scan in place.
+            view = conversions.to_grid(enface(volume), volume.geometry, volume.stamp_ns)
+            data = dumps_field(InterpolatedField(volume), half=True)
+            with self._publishing:
+                self._scan = Scan(volume)
+                self._enface.publish(view)
+                self._publish(self._scan, data)
+                self._start_fit(volume)
+        return view
 
     def _publish(self, scan: Scan, data: bytes) -> None:
-        """Publish a field of a scan, from any thread; its pose goes first, so that the receiver can place it."""
-        stamp_ns = scan.volume.stamp_ns
-        placed = self._place(scan)
-        if placed.ee2base is not None:
-            self._scan_ee_pose.publish(conversions.matrix_to_pose_stamped(placed.ee2base, stamp_ns, placed.base_frame))
-        self._field.publish(conversions.to_field_message(data, stamp_ns, scan.volume.geometry.frame))
+        """Publish a field of the present scan while `_publishing` is held; its pose goes first, to place it."""
+        volume = scan.volume
+        self._place(self._poses.nearest(volume.stamp_ns, self._config.config().largest_pose_gap_s))
+        self._publish_pose()
+        self._field.publish(conversions.to_field_message(data, volume.stamp_ns, volume.geometry.frame))
 
-    def _start_fit(self, scan: Scan) -> bool:
+    def _place(self, pose: StampedPose | None) -> bool:
+        """Take a pose as the present scan's if it is the nearest so far; return whether. `_publishing` is held."""
+        scan = self._scan
+        if scan is None or pose is None:
+            return False
+        if scan.pose is not None and scan.gap_ns(pose) >= scan.gap_ns(scan.pose):
+            return False
+        if scan.gap_ns(pose) > self._config.config().largest_pose_gap_s * 1e9:
+            return False
+        self._scan = dataclasses.replace(scan, pose=pose)
+        return True
+
+    def _publish_pose(self) -> None:
+        scan = self._scan
+        if scan is not None and scan.pose is not None:
+            pose, stamp_ns = scan.pose, scan.volume.stamp_ns
+            self._scan_ee_pose.publish(conversions.matrix_to_pose_stamped(pose.ee2base, stamp_ns, pose.frame))
+
+    def _start_fit(self, volume: Volume) -> bool:
         config = self._fit_config.config()
-        waits = self._worker.submit(lambda cancelled: self._fit(scan, config, cancelled))
+        waits = self._worker.submit(lambda cancelled: self._fit(volume, config, cancelled))
         if waits:
-            values = {"state": "waiting", "stamp_ns": scan.volume.stamp_ns}
+            values = {"state": "waiting", "stamp_ns": volume.stamp_ns}
             self._progress.report(status.OK, "a fit is running; this C-scan is next", values)
         return waits
 
-    def _fit(self, scan: Scan, config: FitConfig, cancelled: Callable[[], bool]) -> None:
+    def _fit(self, volume: Volume, config: FitConfig, cancelled: Callable[[], bool]) -> None:
         """Fit in the worker's thread and publish from there: publishers are safe from any thread."""
-        stamp_ns = scan.volume.stamp_ns
-        of_scan = {"stamp_ns": stamp_ns}
-        shape = " x ".join(str(n) for n in scan.volume.geometry.shape)
-        self._progress.report(status.OK, f"fitting a C-scan of {shape} voxels", {"state": "fitting", **of_scan})
+        of_scan = {"stamp_ns": volume.stamp_ns}
         try:
+            shape = " x ".join(str(n) for n in volume.geometry.shape)
+            self._progress.report(status.OK, f"fitting a C-scan of {shape} voxels", {"state": "fitting", **of_scan})
             result = fit(
-                scan.volume,
+                volume,
                 config,
                 device=self._device,
-                progress=lambda progress: self._report(progress, stamp_ns),
+                progress=lambda progress: self._report(progress, volume.stamp_ns),
                 cancelled=cancelled,
-                start=self._start_field(scan, config),
+                start=self._start_field(volume, config),
             )
             figures = {**of_scan, "steps": result.steps, "seconds": result.seconds, "ended": result.ended}
             if result.cancelled or cancelled():
                 self._progress.report(status.WARN, "fit cancelled", {"state": "cancelled", **figures})
                 return
-            data = dumps_field(result.field, half=True)
+            self._publish_fitted(volume, result, figures)
         except Exception as error:  # whatever goes wrong in a fit, out of memory included, the node lives on
             self._progress.report(status.ERROR, f"fit failed: {error}", {"state": "failed", **of_scan})
-            return
+
+    def _publish_fitted(self, volume: Volume, result: FitResult, figures: dict[str, Any]) -> None:
+        data = dumps_field(result.field, half=True)
         self._fitted = result.field
         if not self.context.ok():
             return
-        if self._scan is not None and self._scan.volume is not scan.volume:
+        with self._publishing:
+            scan = self._scan
+            current = scan is not None and scan.volume is volume
+            if scan is not None and current:
+                self._publish(scan, data)
+        if not current:
             words = "a newer C-scan has come meanwhile: its field stays, this one is not published"
             self._progress.report(status.WARN, words, {"state": "superseded", **figures})
             return
-        self._publish(scan, data)
         self._progress.report(
             status.WARN if result.ended == "diverged" else status.OK,
             _outcome(result),
@@ -279,34 +315,25 @@ class Trainer(Node):
             },
         )
 
-    def _start_field(self, scan: Scan, config: FitConfig) -> NeuralField | None:
+    def _start_field(self, volume: Volume, config: FitConfig) -> NeuralField | None:
         """Return the last fitted field if a fit of this scan shall and can begin with it."""
-        field, geometry = self._fitted, scan.volume.geometry
+        field, geometry = self._fitted, volume.geometry
         if field is None or not self._config.config().warm_start or field.config != config.field.for_volume(geometry):
             return None
         return field if field.geometry.same_grid(geometry) else None
-
-    def _place(self, scan: Scan) -> Scan:
-        """Return the scan with the pose nearest to it; it may have come after the last B-scan, by another topic."""
-        pose = self._poses.nearest(scan.volume.stamp_ns, self._config.config().largest_pose_gap_s)
-        if pose is None:
-            return scan
-        placed = dataclasses.replace(scan, ee2base=pose, base_frame=self._base_frame)
-        if self._scan is scan:
-            self._scan = placed
-        return placed
 
     def _report(self, progress: FitProgress, stamp_ns: int) -> None:
         values = {"state": "fitting", "stamp_ns": stamp_ns, **dataclasses.asdict(progress)}
         self._progress.report(status.OK, f"fitting: {progress.fraction:.0%}", values, log=False)
 
     def _refit(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        scan = self._scan
+        with self._publishing:  # no newer scan comes in between, whose fit this one would displace
+            scan = self._scan
+            waits = scan is not None and self._start_fit(scan.volume)
         if scan is None:
             response.message = "there is no C-scan to fit; scan one, or load one with load_cscan"
             self._progress.report(status.ERROR, f"refit refused: {response.message}", {"state": "refused"})
             return response
-        waits = self._start_fit(scan)
         response.success = True
         response.message = "the present fit ends first, then this one begins" if waits else "the fit has begun"
         return response
@@ -322,6 +349,10 @@ def _outcome(result: FitResult) -> str:
     if result.ended == "diverged":
         return f"the fit diverged; its last good state is published, fitted {figures}"
     return f"field fitted {figures}, ended by {result.ended}"
+
+
+def _fault(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 def _path_of(url: str) -> Path:

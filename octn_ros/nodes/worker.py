@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 
@@ -20,8 +21,8 @@ def any_working() -> bool:
 class Worker:
     """Runs jobs in a thread of its own; of those that wait, only the newest is kept.
 
-    A job is given a function that says whether it was cancelled, and asks it often. It must not raise. All methods
-    may be called from any thread.
+    A job is given a function that says whether it was cancelled, and asks it often. It should not raise: whatever it
+    raises is shown on stderr and ends this job only. All methods may be called from any thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -71,4 +72,7 @@ class Worker:
                 if job is None or self._closed:
                     return
                 stop = self._stop = threading.Event()
-            job(stop.is_set)
+            try:
+                job(stop.is_set)
+            except Exception:  # shown as that of any thread, and the next job still finds a worker
+                threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), self._thread)))

@@ -14,7 +14,7 @@ from octn_ros.field.device import torch_device
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.bscan_pairs import BScanPairs
 from octn_ros.nodes.frames import ScanFrames
-from octn_ros.nodes.pose_history import PoseHistory
+from octn_ros.nodes.pose_history import PoseHistory, StampedPose
 from octn_ros.nodes.worker import Worker
 from octn_ros.planning import from_translation_quaternion, load_calibration
 from octn_ros.resources import config_path
@@ -60,6 +60,23 @@ def test_cancel_reaches_the_running_job_and_forgets_the_waiting_one() -> None:
     assert not ran
 
 
+def test_a_job_that_raises_is_shown_and_the_next_one_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown, done = [], threading.Event()
+    monkeypatch.setattr(threading, "excepthook", lambda arguments: shown.append(arguments.exc_value))
+
+    def wrong(cancelled) -> None:
+        raise RuntimeError("a fault")
+
+    worker = Worker("test")
+    worker.submit(wrong)
+    while worker.busy:
+        pass
+    assert [str(error) for error in shown] == ["a fault"]
+    worker.submit(lambda cancelled: done.set())
+    assert done.wait(WAIT_S)
+    worker.close(WAIT_S)
+
+
 def stamped(kind: type, stamp_ns: int) -> Image | PoseStamped:
     return kind(header=conversions.header(stamp_ns, ""))
 
@@ -80,8 +97,8 @@ def test_the_pose_nearest_in_time_is_found_within_the_gap() -> None:
     history = PoseHistory()
     assert history.nearest(0, 1.0) is None
     for second in range(5):
-        history.add(second * 10**9, np.full((4, 4), second))
-    assert history.nearest(2_400_000_000, 0.5)[0, 0] == 2
+        history.add(StampedPose(second * 10**9, np.full((4, 4), second), "base_link"))
+    assert history.nearest(2_400_000_000, 0.5).stamp_ns == 2 * 10**9
     assert history.nearest(9 * 10**9, 0.5) is None
 
 

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from octn_ros.errors import CalibrationError, PlanError
 from octn_ros.field import HashGridConfig, InterpolatedField, NetworkConfig, NeuralFieldConfig, dumps_field, field_hash
-from octn_ros.nodes import conversions, qos, status
+from octn_ros.nodes import conversions, field_receiver, qos, status
 from octn_ros.nodes.planner import Planner
 from octn_ros.nodes.query import Query
 from octn_ros.planning import from_translation_quaternion
@@ -80,6 +80,22 @@ def test_a_message_that_is_no_field_is_refused_and_the_last_field_kept(
     assert not bench.ask("plan_raster", frame="map").poses
     bench.until("plan_raster refused", "'map'")
     assert not bench.waypoints.messages
+
+
+def test_a_device_without_memory_refuses_the_field_and_the_nodes_live_on(
+    spin: Callable[..., Any], client: Any, field_data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def out_of_memory(*arguments: Any) -> None:
+        raise RuntimeError("CUDA out of memory")
+
+    bench = Bench(spin, client)
+    message = conversions.to_field_message(field_data, STAMP_NS, OCT)
+    with monkeypatch.context() as patched:
+        patched.setattr(field_receiver, "loads_field", out_of_memory)
+        bench.field.publish(message)
+        assert bench.until("field refused", "RuntimeError: CUDA out of memory")["state"] == "refused"
+    bench.field.publish(message)
+    bench.until("ready to plan")
 
 
 def test_the_base_frame_is_known_only_with_the_pose_of_the_same_scan(
