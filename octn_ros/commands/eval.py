@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -158,7 +159,14 @@ def _grid(grid: GridComparison) -> dict[str, Any]:
         {"surface": name, "chamfer_um": distance.chamfer_m * 1e6, "hausdorff_um": distance.hausdorff_m * 1e6}
         for name, distance in grid.surfaces.items()
     ]
-    return {"psnr_db": grid.psnr_db, "ssim": grid.ssim, "surfaces": surfaces}
+    return {
+        "psnr_db": grid.psnr_db,
+        "ssim": grid.ssim,
+        "snr_volume_db": grid.snr_volume_db,
+        "snr_field_db": grid.snr_field_db,
+        "epi": grid.epi,
+        "surfaces": surfaces,
+    }
 
 
 def _region(entry: RegionFidelity) -> dict[str, Any]:
@@ -187,7 +195,15 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _grid_words(values: dict[str, Any]) -> str:
-    return f"PSNR {values['psnr_db']:.2f} dB, SSIM {values['ssim']:.4f} (mean over B-scans)"
+    words = f"PSNR {values['psnr_db']:.2f} dB, SSIM {values['ssim']:.4f} (mean over B-scans)"
+    for name, text in (
+        ("snr_volume_db", ", SNR measured {:.2f} dB"),
+        ("snr_field_db", ", field {:.2f} dB"),
+        ("epi", ", EPI {:.3f}"),
+    ):
+        if math.isfinite(values[name]):  # no room for air, or air without noise as in a truth
+            words += text.format(values[name])
+    return words
 
 
 def _surface_rows(title: str, values: dict[str, Any]) -> list[tuple[str, str]]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from octn_ros.errors import QueryError
 from octn_ros.evaluation.grid_comparison import (
@@ -30,10 +29,8 @@ from octn_ros.metrics import (
     snr_db,
     ssim,
 )
-from octn_ros.query import native_surface
-from octn_ros.volume import Volume, gaussian_filter
+from octn_ros.volume import Volume
 
-_NEIGHBOURS = 5  # B-scans to either side of one that say where its surface is
 _QUARTERS = (0.25, 0.5, 0.75)
 
 
@@ -105,7 +102,7 @@ def assess_field(
     measured = volume.normalized(slice(bscan, bscan + 1))[0]
     rendered = render_bscans(field, np.array([bscan]))[0]
     if regions is None:
-        regions = find_regions(_typical_surface(volume, bscan), (measured.shape[0], measured.shape[1]))
+        regions = find_regions(grid.typical_surface[bscan], (measured.shape[0], measured.shape[1]))
     air = [region for region in regions if region.kind == "air"]
     noise = [
         np.concatenate([region.cut(image).ravel() for region in air]) if air else np.zeros(0)
@@ -182,20 +179,3 @@ def _surface_in(region: RegionOfInterest, grid: GridComparison, volume: Volume, 
         inside = region.contains(row, np.arange(len(row), dtype=np.float64))
         clouds.append(surface_points_m(volume, row[None])[inside])
     return cloud_distance(clouds[0], clouds[1]) if all(len(cloud) for cloud in clouds) else _NOWHERE
-
-
-def _typical_surface(volume: Volume, bscan: int) -> NDArray[np.float64]:
-    """Axial index of the surface in one B-scan [lateral], where most of its neighbourhood has it.
-
-    Regions must not follow speckle or an artefact of the scanner's first rows, so falls do not count here and
-    neighbours outvote single A-scans.
-    """
-    first = max(0, min(bscan - _NEIGHBOURS, volume.geometry.shape[0] - 2 * _NEIGHBOURS))
-    near = slice(first, first + 2 * _NEIGHBOURS)
-    intensity = volume.normalized(near)
-    geometry = replace(volume.geometry, shape=intensity.shape)
-    slab = replace(volume, array=intensity, geometry=geometry, intensity_range=(0.0, 1.0))
-    points = native_surface(gaussian_filter(slab, 2.0), rises_only=True)
-    depth = geometry.metric_to_voxel(points)[:, 1].reshape(intensity.shape[0], intensity.shape[2])
-    typical: NDArray[np.float64] = ndimage.median_filter(depth, size=9, mode="nearest")[bscan - first]
-    return typical

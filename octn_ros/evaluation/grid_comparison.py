@@ -1,4 +1,4 @@
-"""A field against whole volumes, B-scan by B-scan: PSNR, SSIM and the surfaces of eq. 3, in bounded memory."""
+"""A field against whole volumes, B-scan by B-scan: PSNR, SSIM, SNR, EPI, surfaces of eq. 3, in bounded memory."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from octn_ros.errors import QueryError
+from octn_ros.evaluation.contrast import Contrast, typical_surface
 from octn_ros.field import Field
 from octn_ros.metrics import SSIM_WINDOW, CloudDistance, cloud_distance, psnr_from_error_db, ssim
 from octn_ros.query import native_surface
@@ -30,14 +31,22 @@ class GridComparison:
     Attributes:
         psnr_db: over all voxels.
         ssim: mean over the B-scans; NaN where they are smaller than its window.
+        snr_volume_db, snr_field_db: of all B-scans together, in the volume and in the field: tissue and air are the
+            bands below and above the surface of the measured scan; NaN where there is no room for one.
+        epi: edge preservation index of the field against the volume, over all B-scans together.
         surfaces: Chamfer and Hausdorff distance of the two surfaces, for each of `SURFACE_VARIANTS`.
+        typical_surface: axial index of the measured scan's surface [bscan, lateral] that tells air from tissue.
         volume_surface: axial index of the volume's surface [variant, bscan, lateral].
         field_surface: axial index of the field's surface [variant, bscan, lateral].
     """
 
     psnr_db: float
     ssim: float
+    snr_volume_db: float
+    snr_field_db: float
+    epi: float
     surfaces: dict[str, CloudDistance]
+    typical_surface: NDArray[np.float64]
     volume_surface: NDArray[np.float64]
     field_surface: NDArray[np.float64]
 
@@ -51,7 +60,7 @@ def compare_on_grid(
 
     Args:
         field: the field.
-        volumes: what it is held against, the measured scan or a noise-free one.
+        volumes: what it is held against, the measured scan first, then perhaps a noise-free one.
         progress: called with the share that is done.
 
     Raises:
@@ -60,17 +69,20 @@ def compare_on_grid(
     for volume in volumes:
         _check_same_grid(field, volume)
     shape = field.geometry.shape
-    sums = [_Sums(volume) for volume in volumes]
-    own = _Surfaces(shape)
+    typical = typical_surface(volumes[0])
+    sums = [_Sums(volume, typical) for volume in volumes]
+    own, contrast = _Surfaces(shape), Contrast(typical)
     for first, last, halo in _slabs(shape):
         rendered = render_bscans(field, np.arange(halo.start, halo.stop))
         inner = slice(first - halo.start, last - halo.start)
         own.add(volumes[0], halo, first, last, rendered)
+        for bscan, image in zip(range(first, last), rendered[inner], strict=True):
+            contrast.add(bscan, image)
         for entry in sums:
             entry.add(halo, first, last, rendered[inner])
         if progress is not None:
             progress(last / shape[0])
-    return tuple(entry.result(own) for entry in sums)
+    return tuple(entry.result(own, contrast) for entry in sums)
 
 
 def render_bscans(field: Field, positions: NDArray[np.number]) -> NDArray[np.float32]:
@@ -109,20 +121,23 @@ class _Surfaces:
 class _Sums:
     """What one volume contributes, slab by slab."""
 
-    def __init__(self, volume: Volume) -> None:
+    def __init__(self, volume: Volume, typical_surface: NDArray[np.float64]) -> None:
         self._volume = volume
+        self._typical, self._contrast = typical_surface, Contrast(typical_surface)
         self._squares, self._ssim = 0.0, 0.0
         self._surfaces = _Surfaces(volume.geometry.shape)
 
     def add(self, halo: slice, first: int, last: int, rendered: NDArray[np.float32]) -> None:
         measured = self._volume.normalized(halo)
         self._surfaces.add(self._volume, halo, first, last, measured)
-        for one, other in zip(measured[first - halo.start : last - halo.start], rendered, strict=True):
+        inner = measured[first - halo.start : last - halo.start]
+        for bscan, one, other in zip(range(first, last), inner, rendered, strict=True):
+            self._contrast.add(bscan, one)
             difference = one.astype(np.float64) - other
             self._squares += float(np.vdot(difference, difference))
             self._ssim += ssim(one, other) if min(one.shape) >= SSIM_WINDOW else np.nan
 
-    def result(self, field_surfaces: _Surfaces) -> GridComparison:
+    def result(self, field_surfaces: _Surfaces, field_contrast: Contrast) -> GridComparison:
         mine, other = self._surfaces.depth, field_surfaces.depth
         distances = {
             name: cloud_distance(surface_points_m(self._volume, mine[i]), surface_points_m(self._volume, other[i]))
@@ -131,7 +146,11 @@ class _Sums:
         return GridComparison(
             psnr_db=psnr_from_error_db(self._squares / self._volume.array.size),
             ssim=self._ssim / self._volume.geometry.shape[0],
+            snr_volume_db=self._contrast.snr_db,
+            snr_field_db=field_contrast.snr_db,
+            epi=field_contrast.edge_preservation(self._contrast),
             surfaces=distances,
+            typical_surface=self._typical,
             volume_surface=mine,
             field_surface=other,
         )

@@ -33,10 +33,14 @@ def snr_db(tissue: NDArray[Any], air: NDArray[Any]) -> float:
     for name, region, least in (("tissue", tissue, 1), ("air", air, 2)):
         if region.size < least or not np.isfinite(region).all():
             raise QueryError(f"snr_db: expected at least {least} finite intensities of {name}, got {region.size}")
-    signal, noise = float(np.mean(tissue, dtype=np.float64)), float(np.var(air, dtype=np.float64))
-    if signal == 0.0:
+    return snr_from_moments_db(float(np.mean(tissue, dtype=np.float64)), float(np.var(air, dtype=np.float64)))
+
+
+def snr_from_moments_db(tissue_mean: float, air_variance: float) -> float:
+    """Return the SNR of `snr_db` in dB from the mean of tissue and the variance of air, which sum up over a volume."""
+    if tissue_mean == 0.0:
         return -math.inf
-    return math.inf if noise == 0.0 else 10.0 * math.log10(signal**2 / noise)
+    return math.inf if air_variance == 0.0 else 10.0 * math.log10(tissue_mean**2 / air_variance)
 
 
 def edge_preservation_index(reference: NDArray[Any], test: NDArray[Any]) -> float:

@@ -121,7 +121,7 @@ def find_regions(surface_voxels: NDArray[np.floating], shape: tuple[int, int]) -
     # Single A-scans whose surface went astray must not decide where there is room.
     high, low = np.quantile(surface_voxels[columns[0] : columns[1]], (0.05, 0.95))
     above, below = int(high) - _MARGIN_VOXELS, int(np.ceil(low)) + _MARGIN_VOXELS
-    depth = max(_SMALLEST_VOXELS, axials // 8)
+    depth = _band_voxels(axials)
     ranges: Sequence[tuple[RegionKind, int, int]] = (
         ("air", max(0, above - depth), above),
         ("tissue", below, min(axials, below + depth)),
@@ -132,6 +132,28 @@ def find_regions(surface_voxels: NDArray[np.floating], shape: tuple[int, int]) -
         for kind, first, last in ranges
         if last - first >= _SMALLEST_VOXELS
     )
+
+
+def air_and_tissue(surface_voxels: NDArray[np.floating], axials: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Choose the bands along a surface whose voxels are air and tissue, as thick as the regions of `find_regions`.
+
+    They follow the surface, a few voxels away from it: air above, tissue below. Deeper tissue, where light is lost,
+    and the scanner's first rows belong to neither.
+
+    Args:
+        surface_voxels: axial index of the surface [..., lateral].
+        axials: voxels along the beam.
+
+    Returns:
+        Masks of air and tissue [..., axial, lateral].
+    """
+    below = np.arange(axials)[:, None] - surface_voxels[..., None, :]
+    thick = _MARGIN_VOXELS + _band_voxels(axials)
+    return (below < -_MARGIN_VOXELS) & (below >= -thick), (below > _MARGIN_VOXELS) & (below <= thick)
+
+
+def _band_voxels(axials: int) -> int:
+    return max(_SMALLEST_VOXELS, axials // 8)
 
 
 def _region(entry: Any) -> RegionOfInterest:

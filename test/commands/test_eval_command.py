@@ -16,6 +16,7 @@ def test_one_json_object_with_every_figure(field_file, capsys):
     values = json.loads(capsys.readouterr().out)
     assert 15 < values["psnr_db"] < 60
     assert 0 < values["ssim"] <= 1
+    assert 0 < values["epi"] < 2
     assert [entry["surface"] for entry in values["surfaces"]] == ["raw voxels", "after a Gaussian of 1 voxel"]
     assert all(entry["chamfer_um"] <= entry["hausdorff_um"] for entry in values["surfaces"])
     assert list(values["fractional_psnr_db"]) == ["7.25", "7.5", "7.75"]

@@ -54,13 +54,37 @@ def test_global_figures_by_hand():
     np.testing.assert_allclose(result.field_surface[0], EDGE - 0.5)
 
 
+def test_global_snr_and_epi_by_hand():
+    # Air is 0.1 and 0.3 in turns (variance 0.01) in B-scans, tissue 0.7: 10 log10(0.49 / 0.01). In the field air is
+    # 0.15 and 0.25 (variance 0.0025). Axially both vary by their step alone, 0.5 on average; the field's tissue is
+    # brighter in one of nine B-scans by 0.09: on average 0.71 and 0.51.
+    volume, smoother = half_space().array.copy(), half_space().array.copy()
+    volume[:, :EDGE, ::2], volume[:, :EDGE, 1::2] = 0.1, 0.3
+    smoother[:, :EDGE, ::2], smoother[:, :EDGE, 1::2] = 0.15, 0.25
+    smoother[8, EDGE:] += 0.09
+    field = InterpolatedField(Volume.from_array(smoother, SPACING_M))
+    grid = assess_field(field, Volume.from_array(volume, SPACING_M)).grid
+    assert grid.snr_volume_db == pytest.approx(10 * math.log10(0.49 / 0.01), abs=1e-4)
+    assert grid.snr_field_db == pytest.approx(10 * math.log10(0.71**2 / 0.0025), abs=1e-3)
+    assert grid.epi == pytest.approx(0.51 / 0.5, abs=1e-4)
+    np.testing.assert_allclose(grid.typical_surface, EDGE - 0.5)
+
+
+def test_without_room_for_air_there_is_no_global_snr():
+    volume = half_space(edge=5)
+    assert math.isnan(compare_on_grid(InterpolatedField(volume), [volume])[0].snr_volume_db)
+
+
 def test_slabs_do_not_change_the_figures(monkeypatch):
     volume, field = half_space(EDGE + 1, noise=0.3), InterpolatedField(half_space(noise=0.3))
     whole, shares = compare_on_grid(field, [volume])[0], []
-    monkeypatch.setattr("octn_ros.evaluation.grid_comparison._SLAB_VOXELS", 2 * SHAPE[1] * SHAPE[2])
+    for module in ("grid_comparison", "contrast"):
+        monkeypatch.setattr(f"octn_ros.evaluation.{module}._SLAB_VOXELS", 2 * SHAPE[1] * SHAPE[2])
     sliced = compare_on_grid(field, [volume], shares.append)[0]
     assert shares == pytest.approx([2 / 9, 4 / 9, 6 / 9, 8 / 9, 1.0])
     assert (sliced.psnr_db, sliced.ssim) == (pytest.approx(whole.psnr_db), pytest.approx(whole.ssim))
+    assert (sliced.snr_field_db, sliced.epi) == (pytest.approx(whole.snr_field_db), pytest.approx(whole.epi))
+    np.testing.assert_array_equal(sliced.typical_surface, whole.typical_surface)
     np.testing.assert_array_equal(sliced.volume_surface, whole.volume_surface)
     np.testing.assert_array_equal(sliced.field_surface, whole.field_surface)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from octn_ros.errors import QueryError
-from octn_ros.metrics import RegionOfInterest, find_regions, load_regions
+from octn_ros.metrics import RegionOfInterest, air_and_tissue, find_regions, load_regions
 
 ENTRIES = [
     {"name": "above", "kind": "air", "axial": [0, 4], "lateral": [1, 6]},
@@ -89,3 +89,11 @@ def test_one_stray_ascan_moves_no_region():
 def test_a_surface_that_does_not_fit(surface):
     with pytest.raises(QueryError, match="find_regions: expected"):
         find_regions(surface, (128, 40))
+
+
+def test_air_and_tissue_follow_the_surface():
+    # Bands of 11 voxels, 6 away from surfaces between rows 29 and 30, and 39 and 40.
+    air, tissue = air_and_tissue(np.array([29.5, 39.5]), 80)
+    for column, shift in ((0, 0), (1, 10)):
+        assert np.flatnonzero(air[:, column]).tolist() == list(range(13 + shift, 24 + shift))
+        assert np.flatnonzero(tissue[:, column]).tolist() == list(range(36 + shift, 47 + shift))
