@@ -83,6 +83,27 @@ def from_plain(kind: type[T], values: dict[str, Any]) -> T:
     return kind(**arguments)
 
 
+def with_setting(config: T, name: str, value: Any) -> T:
+    """Return a configuration with one setting changed, named by its path such as `field.grid.levels`.
+
+    Raises:
+        ConfigurationError: there is no such setting, or the value is not allowed.
+    """
+    first, _, rest = name.partition(".")
+    known = [field.name for field in dataclasses.fields(config)]  # type: ignore[arg-type]
+    if first not in known:
+        raise ConfigurationError(
+            f"{type(config).__name__}: expected one of the settings {', '.join(known)}, got {name!r}"
+        )
+    inner = getattr(config, first)
+    if dataclasses.is_dataclass(inner) != bool(rest):
+        raise ConfigurationError(
+            f"{type(config).__name__}.{first}: expected "
+            + (f"{name}.SETTING, for it holds settings of its own" if not rest else f"one value, got {name!r}")
+        )
+    return dataclasses.replace(config, **{first: with_setting(inner, rest, value) if rest else value})  # type: ignore[type-var]
+
+
 def _check_type(name: str, value: Any, hint: Any) -> None:
     if typing.get_origin(hint) is tuple:
         items = typing.get_args(hint)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
+from octn_ros.settings import with_setting
 
 if TYPE_CHECKING:
     from octn_ros.field import NeuralField
@@ -21,6 +22,8 @@ ENDS = {
     "steps": "all steps done",
     "time": "time budget spent",
     "target": "target PSNR reached",
+    "noise level": "error down to the noise",
+    "cancelled": "cancelled; the field is unfinished",
     "diverged": "diverged; this is the last good state",
 }
 
@@ -35,6 +38,7 @@ class FitCommand:
         spacing_um: spacing along (bscan, axial, lateral), overrides the file's.
         preset: settings to start from.
         alpha, time_budget_s, target_psnr_db, steps, seed: override the preset's, None keeps it.
+        settings: any other settings of the fit, as (path such as field.bits_per_voxel, value in YAML).
         start: a field of an earlier scan of the same geometry to begin with.
         picture: a PNG to draw.
         device: auto, cpu, cuda, ...
@@ -50,6 +54,7 @@ class FitCommand:
     target_psnr_db: float | None = None
     steps: int | None = None
     seed: int | None = None
+    settings: tuple[tuple[str, str], ...] = ()
     start: Path | None = None
     picture: Path | None = None
     device: str = "auto"
@@ -94,7 +99,8 @@ class FitCommand:
             "device": str(device),
             "fit_s": result.seconds,
             "steps": result.steps,
-            "samples": result.steps * config.batch,
+            "samples": training["samples"],
+            "backend": training["backend"],
             "ended": result.ended,
             "psnr_db": result.psnr_db,
         }
@@ -106,6 +112,8 @@ class FitCommand:
         return 0
 
     def _config(self) -> FitConfig:
+        import yaml
+
         from octn_ros.training import PRESETS
 
         given = {
@@ -114,6 +122,8 @@ class FitCommand:
             if getattr(self, name) is not None
         }
         config: FitConfig = dataclasses.replace(PRESETS[self.preset], **given)
+        for name, value in self.settings:
+            config = with_setting(config, name, yaml.safe_load(value))
         return config
 
     def _start_field(self) -> NeuralField | None:
@@ -149,6 +159,14 @@ def add_parser(commands: Any) -> None:
         "--start", type=Path, metavar="FIELD", help="begin with this field of an earlier scan of the same geometry"
     )
     parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        type=_setting,
+        metavar="NAME=VALUE",
+        help="any other setting of the fit, such as stop_at_noise=true or field.bits_per_voxel=4; see docs/training.md",
+    )
+    parser.add_argument(
         "--picture", type=Path, metavar="PNG", help="draw a B-scan, measured and fitted, and the PSNR curve"
     )
     parser.add_argument("--device", default="auto", help="auto (a GPU if there is one), cpu, cuda, cuda:1, ...")
@@ -167,11 +185,19 @@ def _read(arguments: argparse.Namespace) -> FitCommand:
         target_psnr_db=arguments.target_psnr_db,
         steps=arguments.steps,
         seed=arguments.seed,
+        settings=tuple(arguments.set),
         start=arguments.start,
         picture=arguments.picture,
         device=arguments.device,
         json=arguments.json,
     )
+
+
+def _setting(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, got {text!r}")
+    return name, value
 
 
 def _remark(progress: FitProgress) -> str:
@@ -180,7 +206,10 @@ def _remark(progress: FitProgress) -> str:
 
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
     return [
-        ("fit time", f"{values['fit_s']:.1f} s on {values['device']}, preset {values['preset']}"),
+        (
+            "fit time",
+            f"{values['fit_s']:.1f} s on {values['device']} ({values['backend']}), preset {values['preset']}",
+        ),
         ("steps", f"{values['steps']}, {values['samples'] / 1e6:.1f} M samples"),
         ("ended", ENDS[values["ended"]]),
         ("PSNR against the measured voxels", f"{values['psnr_db']:.2f} dB, 16 evenly spaced B-scans"),

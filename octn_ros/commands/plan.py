@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import dataclasses
 import io
 import json
 import math
@@ -18,6 +17,7 @@ from octn_ros.commands.plan_files import read_polygon, read_pose, read_settings
 from octn_ros.commands.plan_options import Places, add_region, add_settings, region_places, setting_changes
 from octn_ros.commands.plan_table import plan_figures, plan_rows
 from octn_ros.commands.sources import FIELD_SUFFIX, Order, add_source, open_field
+from octn_ros.settings import with_setting
 
 if TYPE_CHECKING:
     from octn_ros.field import Field
@@ -121,10 +121,7 @@ class PlanCommand:
 
         config = read_settings(self.settings) if self.settings else PlannerConfig()
         for name, value in self.changes:
-            part, _, setting = name.rpartition(".")
-            if part:
-                value = dataclasses.replace(getattr(config, part), **{setting: value})
-            config = dataclasses.replace(config, **{part or setting: value})
+            config = with_setting(config, name, value)
         return config
 
     def _region(self, field: Field) -> Region:

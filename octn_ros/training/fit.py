@@ -122,6 +122,7 @@ def fit(
     training = {
         "config": as_plain(config),
         "steps": steps,
+        "samples": trainer.samples,
         "seconds": seconds,
         "psnr_db": None if math.isnan(quality) else quality,
         "ended": ended,

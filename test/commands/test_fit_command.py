@@ -1,6 +1,8 @@
 """`octn fit`: a field that can be read again, the settings it takes, and what it refuses."""
 
 import json
+import re
+import typing
 
 import pytest
 
@@ -119,3 +121,29 @@ def test_bad_files_are_refused_before_and_after(scan_file, unstated_file, tmp_pa
         assert output.out == ""
         assert output.err.startswith("octn fit: error: ")
         assert output.err.count("\n") == 1
+
+
+def test_any_setting_by_its_path(scan_file, tmp_path, capsys):
+    output = tmp_path / "field.safetensors"
+    more = ("--steps", "2", "--device", "cpu", "--json")
+    assert fit(scan_file, output, *more, "--set", "field.grid.levels=2", "--set", "backend=torch") == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["config"]["field"]["grid"]["levels"] == 2
+    assert values["backend"] == "torch"
+    assert values["samples"] == 2 * values["config"]["batch"]
+    for wrong, says in (
+        ("levels=2", "expected one of the settings .*batch.*, got 'levels'"),
+        ("field.grid=2", r"expected field\.grid\.SETTING|expected grid\.SETTING"),
+        ("batch.size=2", "expected one value"),
+        ("field.grid.levels=many", "HashGridConfig.levels: expected int, got 'many'"),
+        ("levels", "expected NAME=VALUE, got 'levels'"),
+    ):
+        assert fit(scan_file, output, *more, "--set", wrong) == 2
+        assert re.search(says, capsys.readouterr().err)
+
+
+def test_every_end_of_a_fit_has_its_words():
+    from octn_ros.commands.fit import ENDS
+    from octn_ros.training.fit import Ended
+
+    assert set(ENDS) == set(typing.get_args(Ended))
