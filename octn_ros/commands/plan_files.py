@@ -31,7 +31,9 @@ def read_settings(path: Path) -> PlannerConfig:
 
     content = _yaml(path)
     if not isinstance(content, dict):
-        raise CommandError(f"{path}: expected planner settings, such as `envelope: {{max_step_m: 0.0003}}`")
+        raise CommandError(
+            f"{path}: expected planner settings, such as `envelope: {{max_step_m: 0.0003}}`, got {_short(content)}"
+        )
     try:
         return from_plain(PlannerConfig, content)
     except ConfigurationError as error:
@@ -50,8 +52,9 @@ def read_polygon(path: Path) -> list[tuple[float, float]]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise CommandError(f"{path}: expected a polygon as CSV, could not read it: {error}") from error
     if not rows or not set(POLYGON_COLUMNS) <= set(rows[0]):
+        got = f"the columns {', '.join(map(str, rows[0]))}" if rows else "no row below a line of column names"
         raise CommandError(
-            f"{path}: expected a polygon as CSV with the columns {', '.join(POLYGON_COLUMNS)}, in metres"
+            f"{path}: expected a polygon as CSV with the columns {', '.join(POLYGON_COLUMNS)}, in metres, got {got}"
         )
     try:
         return [(float(row["x_m"]), float(row["y_m"])) for row in rows]
@@ -72,7 +75,8 @@ def read_pose(path: Path) -> NDArray[np.float64]:
     content = _yaml(path)
     if not isinstance(content, dict) or set(content) != {"units", "ee2base"} or content["units"] != "m":
         raise CommandError(
-            f"{path}: expected units: m and ee2base, the pose of the end effector at the time of the scan"
+            f"{path}: expected units: m and ee2base, the pose of the end effector at the time of the scan, "
+            f"got {_short(content)}"
         )
     try:
         return make_rigid(transform_from_plain("ee2base", content["ee2base"]))[0]
@@ -85,3 +89,8 @@ def _yaml(path: Path) -> Any:
         return yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise CommandError(f"{path}: expected YAML, could not read it: {error}") from error
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) < 120 else text[:117] + "..."

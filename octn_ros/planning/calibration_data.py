@@ -116,8 +116,15 @@ def _yaml_list(path: Path, key: str, keys: set[str]) -> list[dict[str, Any]]:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise CalibrationError(f"expected a .csv or a YAML file, could not read it: {error}") from error
-    if not isinstance(content, dict) or content.get("units") != "m" or not isinstance(content.get(key), list):
-        raise CalibrationError(f"expected units: m and a list {key}")
+    if not isinstance(content, dict):
+        raise CalibrationError(
+            f"expected units: m and a list {key}, got {type(content).__name__} {str(content)[:80]!r}"
+        )
+    if content.get("units") != "m" or not isinstance(content.get(key), list):
+        raise CalibrationError(
+            f"expected units: m and a list {key}, got units: {content.get('units')!r}, {key}: "
+            f"{type(content.get(key)).__name__}, keys {sorted(map(str, content))}; write lengths in metres"
+        )
     for number, item in enumerate(content[key]):
         if not isinstance(item, dict) or set(item) != keys:
             raise CalibrationError(f"expected {' and '.join(sorted(keys))} in item {number} of {key}, got {item!r}")

@@ -116,7 +116,7 @@ def test_keep_out_regions_refuse_a_plan(field_file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("option", "text", "words"),
     [
-        ("--polygon", "x,y\n0,0\n", "columns x_m, y_m"),
+        ("--polygon", "x,y\n0,0\n", "columns x_m, y_m, in metres, got the columns x, y"),
         ("--polygon", "x_m,y_m\n0,zero\n", "corners in metres"),
         ("--polygon", "x_m,y_m\n0,0\n", "3 to 1000 corners"),
         ("--settings", "- 1\n", "planner settings"),
