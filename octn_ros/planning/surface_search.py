@@ -30,7 +30,7 @@ _STILL_VOXELS = 1e-3
 
 @dataclass(frozen=True)
 class SurfaceSearchConfig:
-    """How the surface under a raster is found; lengths along the beam in axial voxels."""
+    """How the surface under a raster is found."""
 
     coarse: CoarseSurfaceConfig = dataclass_field(default_factory=CoarseSurfaceConfig)
     trust: TrustConfig = dataclass_field(default_factory=TrustConfig)
@@ -52,30 +52,28 @@ class SurfaceSearchConfig:
         unit="m", low=-1e-3, high=1e-3,
     )  # fmt: skip
     warmup_candidates: int = setting(7, "candidate depths around the coarse surface, N_warmup", low=2, high=1024)
-    neighbourhood_voxels: float = setting(
-        6.0, "how far from the coarse surface a waypoint may lie, N_voxels", unit="voxels", low=0.5, high=1000.0
+    neighbourhood_m: float = setting(
+        88e-6, "how far from the coarse surface a waypoint may lie, N_voxels as a length", unit="m", low=1e-6, high=5e-3
     )
     newton_steps: int = setting(8, "largest number of Newton steps before bisection", low=1, high=1000)
     min_gradient: float = setting(
         1e-3, "axial gradient below which a Newton step is skipped", unit="1/voxel", low=1e-9, high=1.0
     )
-    max_step_voxels: float = setting(2.0, "longest Newton step", unit="voxels", low=1e-3, high=1000.0)
+    max_step_m: float = setting(29e-6, "longest Newton step", unit="m", low=1e-9, high=5e-3)
     convergence: float = setting(0.01, "|f - tau| / tau at which a waypoint is done", low=1e-6, high=0.5)
     tolerance: float = setting(0.05, "|f - tau| / tau above which a root is given up", low=1e-6, high=0.5)
     smoothness: float = setting(
         0.07, "lambda of eq. 14, for depths in axial voxels", unit="1/voxel^2", low=0.0, high=1e6
     )
-    leeway_voxels: float = setting(
-        1.5, "how far the smooth path may leave the level set", unit="voxels", low=0.0, high=1000.0
-    )
+    leeway_m: float = setting(22e-6, "how far the smooth path may leave the level set", unit="m", low=0.0, high=5e-3)
     smoothing_steps: int = setting(20, "largest number of least-squares steps", low=1, high=1000)
     descent_steps: int = setting(1000, "number of gradient descent steps", low=1, high=1_000_000)
     descent_rate: float = setting(
         0.05, "gradient descent: step per unit of gradient, depths in voxels", low=1e-9, high=1e3
     )
-    break_voxels: float = setting(
-        3.0, "second difference of depth from which on the surface is taken to break, as at a step", unit="voxels",
-        low=0.1, high=1000.0,
+    break_m: float = setting(
+        44e-6, "second difference of depth from which on the surface is taken to break, as at a step", unit="m",
+        low=1e-6, high=5e-3,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -91,7 +89,7 @@ class SurfaceSearch:
         intensity: field intensity on the level set there, before the offset correction [N], NaN where given up.
         residual: intensity less tau [N], NaN where given up.
         confidence: 0 to 1 [N]: height of the step as a share of the usual one, times how clearly it stands out, over
-            1 + (scatter of the neighbours in axial voxels)^2.
+            1 + (scatter of the neighbours / 14.6 um)^2.
         given_up: points without a trustworthy depth [N].
         reason: GiveUp of each point [N], int8.
         tau: intensity of the surface at each point [N].
@@ -99,6 +97,8 @@ class SurfaceSearch:
         offset_correction_m: what was added to every depth.
         method: what was done, in words.
         seconds: time of the stages: "coarse", "refine" and, if made, "check".
+        root_depth_m: depth of the level set itself, before it is smoothed, offset correction included [N], NaN where
+            given up; None from a method that does not find it. Its scatter is that of the measurement.
     """
 
     depth_m: NDArray[np.float64]
@@ -112,6 +112,7 @@ class SurfaceSearch:
     offset_correction_m: float
     method: str
     seconds: dict[str, float]
+    root_depth_m: NDArray[np.float64] | None = None
 
 
 def find_surface(
@@ -137,6 +138,7 @@ def find_surface(
     """
     config = config or SurfaceSearchConfig()
     geometry = field.geometry
+    axial_m = geometry.spacing_m[1]
     points = np.asarray(pattern.points_m, dtype=np.float64)
     check_inside(geometry, points)
     if tau is not None and not (math.isfinite(tau) and tau > 0):
@@ -149,14 +151,14 @@ def find_surface(
 
     lines = axial_lines(field, points, surface if config.aperture_m > 0 else None, config.aperture_m)
     start, target = (torch.from_numpy(a.astype(np.float32)).to(field.device) for a in (coarse, levels))
-    brackets = bracket_rises(lines, target, start, config.neighbourhood_voxels, config.warmup_candidates)
+    brackets = bracket_rises(lines, target, start, config.neighbourhood_m / axial_m, config.warmup_candidates)
     roots = refine_roots(
         lines,
         target,
         brackets,
         steps=config.newton_steps,
         min_slope=config.min_gradient,
-        max_step=config.max_step_voxels,
+        max_step=config.max_step_m / axial_m,
         tolerance=config.convergence * target,
     )
     missed = ~(roots.residual.abs() <= config.tolerance * target)
@@ -176,7 +178,7 @@ def find_surface(
     ended = time.perf_counter()
     given_up = reason != GiveUp.KEPT
     residual = np.where(given_up, np.nan, residual)
-    depth_m = geometry.origin_m[2] + depth * geometry.spacing_m[1] + config.offset_correction_m
+    depth_m, root_m = (geometry.origin_m[2] + d * axial_m + config.offset_correction_m for d in (depth, root))
     return SurfaceSearch(
         depth_m=np.where(given_up, np.nan, depth_m),
         intensity=residual + levels,
@@ -185,7 +187,7 @@ def find_surface(
         given_up=given_up,
         reason=reason,
         tau=levels,
-        coarse_depth_m=geometry.origin_m[2] + coarse * geometry.spacing_m[1],
+        coarse_depth_m=geometry.origin_m[2] + coarse * axial_m,
         offset_correction_m=config.offset_correction_m,
         method=_method(config, surface),
         seconds={
@@ -193,6 +195,7 @@ def find_surface(
             "refine": root_done - coarse_done + ended - checked,
             "check": checked - root_done,
         },
+        root_depth_m=np.where(given_up, np.nan, root_m),
     )
 
 
@@ -274,21 +277,23 @@ def _smooth(
     config: SurfaceSearchConfig,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the depths [N] that minimise eq. 14 and their residuals [N]; given-up points follow their neighbours."""
+    axial_m = lines.field.geometry.spacing_m[1]
     kept = reason == GiveUp.KEPT
     first = np.where(kept, root, start.cpu().numpy())
     objective = SmoothObjective(
         lines,
         target,
         torch.from_numpy(kept.astype(np.float32)).to(target.device),
-        turn_mask(pattern.segment, first, config.break_voxels),
+        turn_mask(pattern.segment, first, config.break_m / axial_m),
         config.smoothness,
     )
     from_roots = torch.from_numpy(first.astype(np.float32)).to(target.device)
     # The path may leave a root by little, so that what holds for roots holds for it; elsewhere it is clamped as in the
     # paper.
-    leeway = torch.from_numpy(np.where(kept, config.leeway_voxels, np.inf).astype(np.float32)).to(target.device)
-    low = torch.maximum(start - config.neighbourhood_voxels, from_roots - leeway)
-    high = torch.minimum(start + config.neighbourhood_voxels, from_roots + leeway)
+    leeway = torch.from_numpy(np.where(kept, config.leeway_m / axial_m, np.inf).astype(np.float32)).to(target.device)
+    neighbourhood = config.neighbourhood_m / axial_m
+    low = torch.maximum(start - neighbourhood, from_roots - leeway)
+    high = torch.minimum(start + neighbourhood, from_roots + leeway)
     if config.refinement == "sgd":
         depth = gradient_descent(objective, start, low, high, config.descent_steps, config.descent_rate)
     else:

@@ -13,10 +13,12 @@ from octn_ros.planning.neighbours import allowed_deviation, deviation_from_neigh
 from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry
 
-# Scatter of the neighbours, in axial voxels, below which none of them is doubted.
-_FLOOR_VOXELS = 0.2
-# Deviation from the neighbours, in axial voxels, that is no outlier's however little they scatter.
-_SMALLEST_OUTLIER_VOXELS = 0.75
+# Scatter of the neighbours below which none of them is doubted.
+_FLOOR_M = 3e-6
+# Deviation from the neighbours that is no outlier's however little they scatter.
+_SMALLEST_OUTLIER_M = 11e-6
+# Scatter of the neighbours that halves the confidence: the axial voxel of the scanner it was tuned on.
+_HALVING_SCATTER_M = 14.6e-6
 
 
 @dataclass(frozen=True)
@@ -34,17 +36,16 @@ class TrustConfig:
         0.3, "brightness of the air above it over the usual, as a share of the usual step", low=0.0, high=10.0
     )
     neighbours: int = setting(24, "waypoints around it whose plane it is held against", low=4, high=200)
-    outlier_voxels: float = setting(
-        2.25, "largest distance along the beam from that plane, where the neighbours scatter; less where they do not",
-        unit="voxels", low=0.1, high=1000.0,
+    outlier_m: float = setting(
+        33e-6, "largest distance along the beam from that plane, where the neighbours scatter; less where they do not",
+        unit="m", low=1e-6, high=5e-3,
     )  # fmt: skip
-    max_scatter_voxels: float = setting(
-        1.5, "largest scatter of the neighbours about their plane (standard deviation)", unit="voxels", low=0.01,
-        high=1000.0,
-    )  # fmt: skip
-    coarse_voxels: float = setting(
-        3.0, "largest distance from the coarse surface, less the usual one; on a slope of 1 twice that", unit="voxels",
-        low=0.1, high=1000.0,
+    max_scatter_m: float = setting(
+        22e-6, "largest scatter of the neighbours about their plane (standard deviation)", unit="m", low=1e-7, high=5e-3
+    )
+    coarse_m: float = setting(
+        44e-6, "largest distance from the coarse surface, less the usual one; on a slope of 1 twice that", unit="m",
+        low=1e-6, high=5e-3,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -93,20 +94,19 @@ def judge(
         away = root - coarse
         # A lateral step of the coarse lattice counts for more on a slope.
         steepness = np.hypot(*surface.slope_at(points).T) * voxel
-        far = np.abs(away - np.median(away[kept])) > trust.coarse_voxels * (1.0 + steepness)
+        far = np.abs(away - np.median(away[kept])) * voxel > trust.coarse_m * (1.0 + steepness)
         reason[kept & far] = GiveUp.OUTLIER
     deviation, scatter = deviation_from_neighbours(
         points,
         np.where(reason == GiveUp.KEPT, root * voxel, np.nan),
         coarse * voxel,
         trust.neighbours,
-        _FLOOR_VOXELS * voxel,
-        _SMALLEST_OUTLIER_VOXELS * voxel,
-        trust.outlier_voxels * voxel,
+        _FLOOR_M,
+        _SMALLEST_OUTLIER_M,
+        trust.outlier_m,
     )
-    deviation, scatter = deviation / voxel, scatter / voxel
-    limit = allowed_deviation(scatter, _SMALLEST_OUTLIER_VOXELS, trust.outlier_voxels)
+    limit = allowed_deviation(scatter, _SMALLEST_OUTLIER_M, trust.outlier_m)
     reason[(reason == GiveUp.KEPT) & ~(np.abs(deviation) <= limit)] = GiveUp.OUTLIER
-    reason[(reason == GiveUp.KEPT) & ~(scatter <= trust.max_scatter_voxels)] = GiveUp.UNSTEADY
-    confidence = np.clip(step, 0.0, 1.0) * np.clip(clearness, 0.0, 1.0) / (1.0 + scatter**2)
+    reason[(reason == GiveUp.KEPT) & ~(scatter <= trust.max_scatter_m)] = GiveUp.UNSTEADY
+    confidence = np.clip(step, 0.0, 1.0) * np.clip(clearness, 0.0, 1.0) / (1.0 + (scatter / _HALVING_SCATTER_M) ** 2)
     return confidence

@@ -27,7 +27,7 @@ from octn_ros.planning.waypoints import limit_tilt, refract
 from octn_ros.simulation import Arm, ArmConfig, LaserPath
 
 CORNER, OPPOSITE = (3e-4, -1e-4), (8e-4, 6e-4)
-TRUSTING = SurfaceSearchConfig(trust=TrustConfig(max_scatter_voxels=10.0))
+TRUSTING = SurfaceSearchConfig(trust=TrustConfig(max_scatter_m=146e-6))
 BEAM = np.array([0.0, 0.0, 1.0])
 
 

@@ -30,7 +30,7 @@ CORNER, OPPOSITE = (3e-4, -1e-4), (8e-4, 6e-4)
 LATERAL = PlannerConfig(
     raster=RasterConfig(point_spacing_along="lateral"),
     # The walls of the crater bend more within a neighbourhood than speckled tissue may.
-    search=SurfaceSearchConfig(trust=TrustConfig(max_scatter_voxels=10.0)),
+    search=SurfaceSearchConfig(trust=TrustConfig(max_scatter_m=146e-6)),
 )
 
 

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -64,6 +65,27 @@ def test_noise_does_not_lead_away_from_the_surface(make_field):
     assert distance.max_um < 40
 
 
+@pytest.mark.parametrize("axial", [(278, 5e-6), (139, 10e-6)])
+def test_what_is_found_does_not_depend_on_the_axial_spacing(make_field, axial):
+    def rough(x, y):  # bumps of 15 um root mean square, 0.1 mm apart
+        return 1e-3 + 15e-6 * (torch.sin(x / 21e-6 + 1e4 * y) + torch.sin(y / 17e-6 - 7e3 * x))
+
+    searches = []
+    for axials, spacing_m in ((96, 14.59e-6), axial):
+        field = make_field(rough)
+        field.geometry = dataclasses.replace(
+            field.geometry, shape=(40, axials, 64), spacing_m=(28e-6, spacing_m, 14e-6)
+        )
+        searches.append(find_surface(field, RASTER, TAU, SurfaceSearchConfig(convergence=1e-4)))
+    one, other = searches
+    assert not one.given_up.all()
+    assert (one.given_up == other.given_up).mean() > 0.98
+    both = ~one.given_up & ~other.given_up
+    assert both.mean() > 0.6
+    assert np.abs(one.depth_m - other.depth_m)[both].max() < 1e-6
+    assert np.median(np.abs(one.confidence - other.confidence)[both]) < 0.1
+
+
 def test_the_air_to_tissue_crossing_is_taken(make_field):
     # A thin layer: intensity falls through tau again 40 um below the surface.
     def layer(points):
@@ -96,14 +118,14 @@ def test_points_without_tissue_are_given_up_with_a_reason(make_field):
 
 
 def test_roots_stay_in_the_neighbourhood_of_the_coarse_surface(any_field):
-    config = SurfaceSearchConfig(neighbourhood_voxels=1.0, warmup_candidates=2)
+    config = SurfaceSearchConfig(neighbourhood_m=14.59e-6, warmup_candidates=2)
     search = find_surface(any_field, RASTER, TAU, config)
     assert np.nanmax(np.abs(search.depth_m - search.coarse_depth_m)) <= 14.59e-6 * 1.0001
 
 
 def test_bisection_finds_what_newton_cannot_reach(plane_field):
     # Steps of a thousandth of a voxel get nowhere, so the sign change has to be bisected.
-    config = SurfaceSearchConfig(newton_steps=1, max_step_voxels=1e-3)
+    config = SurfaceSearchConfig(newton_steps=1, max_step_m=15e-9)
     search = find_surface(plane_field, RASTER, TAU, config)
     assert not search.given_up.any()
     assert np.abs(search.residual).max() <= 0.01 * TAU + 1e-6
