@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from octn_ros.evaluation.raster_config import RasterBenchConfig
 from octn_ros.field import Field, InterpolatedField
+from octn_ros.simulation import PhantomConfig, named_phantom
 from octn_ros.training import PRESETS, fit
-from octn_ros.volume import Volume, gaussian_filter, gaussian_filter_of_size, median_filter
+from octn_ros.volume import Volume, gaussian_filter_of_size, median_filter
 
-# As measured, after the paper's filters of size 3, and after a Gaussian of one voxel, which is a little wider.
-FILTERS = ("raw", "gaussian", "median", "gaussian-1-voxel")
-PAPER_FILTERS = FILTERS[:3]
-_WIDE_SIGMA_VOXELS = 1.0
+# As measured, and after the paper's filters of size 3.
+FILTERS = ("raw", "gaussian", "median")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +47,14 @@ class NamedField:
     voxels: FilteredVolume
 
 
+def phantom_config(name: str, config: RasterBenchConfig, shape: tuple[int, int, int] | None = None) -> PhantomConfig:
+    """Return the phantom of that name with the table's seeds, in the table's size unless a shape is given."""
+    if shape is None:
+        named = named_phantom(name)
+        shape = (config.bscans or named.shape[0], named.shape[1], config.laterals or named.shape[2])
+    return named_phantom(name, seed=config.seed, tissue_seed=config.seed, shape=shape)
+
+
 def filtered(volume: Volume, name: str) -> FilteredVolume:
     """Return the volume after the filter of that name, with the time it took."""
     began = time.perf_counter()
@@ -55,18 +62,22 @@ def filtered(volume: Volume, name: str) -> FilteredVolume:
         volume = gaussian_filter_of_size(volume)
     elif name == "median":
         volume = median_filter(volume)
-    elif name == "gaussian-1-voxel":
-        volume = gaussian_filter(volume, _WIDE_SIGMA_VOXELS)
     return FilteredVolume(name, volume, time.perf_counter() - began)
 
 
-def interpolated_fields(volumes: dict[str, FilteredVolume], device: str, cubic: bool) -> Iterator[NamedField]:
-    """Yield the trilinear field of each volume, and the cubic one of the Gaussian-filtered if `cubic`."""
-    for voxels in volumes.values():
-        yield NamedField(f"interpolated-{voxels.name}", InterpolatedField(voxels.volume, device), voxels)
-    if cubic:
+def table_fields(
+    volumes: Mapping[str, FilteredVolume], device: str, config: RasterBenchConfig, phantom: str
+) -> Iterator[NamedField]:
+    """Yield the fields of one phantom, one after the other, so that a fit is not held longer than it is needed."""
+    in_full = phantom in config.phantoms_in_full
+    for name in FILTERS if in_full else ("gaussian",):
+        yield NamedField(f"interpolated-{name}", InterpolatedField(volumes[name].volume, device), volumes[name])
+    if in_full:
         voxels = volumes["gaussian"]
         yield NamedField("cubic-gaussian", InterpolatedField(voxels.volume, device, order="cubic"), voxels)
+    fitted = FILTERS if in_full else ("raw",) if phantom in config.phantoms_fitted else ()
+    for name in fitted:
+        yield neural_field(volumes[name], device, config)
 
 
 def neural_field(voxels: FilteredVolume, device: str, config: RasterBenchConfig) -> NamedField:

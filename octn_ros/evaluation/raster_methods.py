@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from octn_ros.evaluation.raster_config import RasterBenchConfig
 from octn_ros.field import Field
@@ -16,13 +16,14 @@ from octn_ros.planning.paper_methods import PaperConfig, paper_newton, paper_sgd
 
 Method = Callable[[Field, RasterPattern], SurfaceSearch]
 BASELINE = "baseline"
-# On every field; plain gradient descent only where its thousand steps are waited for.
-ON_EVERY_FIELD = ("newton", "least_squares", "paper-newton")
+# On every phantom; then where there is time for it; then where its thousand steps are waited for.
+EVERYWHERE = ("newton", "least_squares")
+ON_EVERY_FIELD = (*EVERYWHERE, "paper-newton")
 DESCENTS = ("sgd", "paper-sgd")
 
 
-def methods(config: RasterBenchConfig, descents: bool) -> dict[str, Method]:
-    """Return the methods by name, all with their defaults and tau as the paper estimates it."""
+def methods(config: RasterBenchConfig, names: Sequence[str]) -> dict[str, Method]:
+    """Return the methods of these names, all with their defaults and tau as the paper estimates it."""
 
     def ours(refinement: str) -> Method:
         settings = SurfaceSearchConfig(refinement=refinement, descent_steps=config.descent_steps)
@@ -36,4 +37,4 @@ def methods(config: RasterBenchConfig, descents: bool) -> dict[str, Method]:
         "paper-newton": lambda field, pattern: paper_newton(field, pattern, None, paper),
         "paper-sgd": lambda field, pattern: paper_sgd(field, pattern, None, paper),
     }
-    return {name: every[name] for name in ON_EVERY_FIELD + (DESCENTS if descents else ())}
+    return {name: every[name] for name in names}

@@ -1,29 +1,33 @@
 """`octn bench raster`: its judgement worked by hand, and the whole of it on a tiny phantom."""
 
 import json
+import math
 
 import numpy as np
 import pytest
 
 from octn_ros.errors import ConfigurationError
 from octn_ros.evaluation.benchmark import BenchmarkRequest
-from octn_ros.evaluation.raster import PAPER, centred_raster, offset_notes, run
-from octn_ros.evaluation.raster_config import QUICK, RasterBenchConfig
-from octn_ros.evaluation.raster_fields import FILTERS, filtered
+from octn_ros.evaluation.raster import DESCENDED, PAPER, centred_raster, offset_notes, run
+from octn_ros.evaluation.raster_config import QUICK, SYSTEM, RasterBenchConfig
+from octn_ros.evaluation.raster_fields import FILTERS, filtered, phantom_config
 from octn_ros.evaluation.raster_judgement import Judge
-from octn_ros.evaluation.raster_methods import methods
+from octn_ros.evaluation.raster_methods import BASELINE, DESCENTS, methods
+from octn_ros.evaluation.raster_timing import TimeRatios, Timing, time_ratios
 from octn_ros.evaluation.report import result_to_plain
 from octn_ros.field import InterpolatedField
 from octn_ros.planning import GiveUp, RasterPattern, SurfaceSearch
-from octn_ros.simulation import make_phantom, named_phantom
+from octn_ros.simulation import NAMED_PHANTOMS, make_phantom, named_phantom
 
 TINY = RasterBenchConfig(
     phantoms=("flat-13dB-single-look",),
-    phantoms_in_full=(),
+    phantoms_fitted=(),
+    phantoms_in_full=("flat-13dB-single-look",),
     bscans=32,
     laterals=64,
     side_m=0.4e-3,
     fit_s=0.3,
+    descent_steps=3,
     timing_shape=(16, 160, 64),
     timing_side_m=0.3e-3,
 )
@@ -126,10 +130,39 @@ def test_offsets_of_one_system_are_compared():
 
 def test_gradient_descent_where_it_is_waited_for(flat):
     config = RasterBenchConfig(descent_steps=3)
-    assert set(methods(config, descents=True)) - set(methods(config, descents=False)) == {"sgd", "paper-sgd"}
     field, pattern = InterpolatedField(flat.volume), centred_raster(flat.volume.geometry, 0.2e-3, 50e-6)
     for name in ("sgd", "paper-sgd"):
-        assert "3 steps" in methods(config, descents=True)[name](field, pattern).method
+        assert "3 steps" in methods(config, DESCENTS)[name](field, pattern).method
+
+
+def test_time_ratios_by_hand():
+    # (filter, core, check, warm) in seconds.
+    ratios = time_ratios(
+        {
+            ("voxels-raw", BASELINE): Timing(0.0, 6.0, 0.0, 0.5),
+            ("voxels-gaussian", BASELINE): Timing(3.0, 6.0, 0.0, 0.5),
+            ("interpolated-raw", "newton"): Timing(0.0, 2.0, 1.0, 2.0),
+            ("interpolated-gaussian", "newton"): Timing(3.0, 1.5, 1.5, 1.5),
+            ("neural-raw-torch", "newton"): Timing(0.0, 1.5, 0.5, 1.5),
+        }
+    )
+    assert ratios["voxels-gaussian", BASELINE] == TimeRatios(1.0, 1.0, 1.0, 1.0)
+    raw = ratios["interpolated-raw", "newton"]
+    assert (raw.same_voxels, raw.with_check, raw.warm) == (3.0, 2.0, 0.25)
+    assert math.isnan(raw.filtered_baseline)  # that field does need the filter
+    smooth = ratios["interpolated-gaussian", "newton"]
+    assert (smooth.same_voxels, smooth.filtered_baseline, smooth.with_check) == (2.0, 2.0, 1.5)
+    neural = ratios["neural-raw-torch", "newton"]
+    assert (neural.same_voxels, neural.filtered_baseline, neural.with_check) == (4.0, 6.0, 3.0)
+
+
+def test_what_runs_on_which_phantom():
+    config = RasterBenchConfig()
+    assert set(config.phantoms_in_full) <= set(config.phantoms_fitted) <= set(config.phantoms)
+    assert {f"{tissue}-13dB-single-look" for tissue in NAMED_PHANTOMS} == set(config.phantoms_fitted)
+    made = phantom_config("glare-13dB-single-look", config)
+    assert (made.seed, made.tissue_seed) == (config.seed, config.seed)
+    assert config.seed >= 100
 
 
 def test_the_whole_table_on_a_tiny_phantom():
@@ -138,16 +171,23 @@ def test_the_whole_table_on_a_tiny_phantom():
     plain = json.loads(json.dumps(result_to_plain(result, {}), allow_nan=False))
     keys = {"phantom", "field", "method", "hit_rate", "hit_rate_truth", "given_up", "spread_um", "offset_um", "max_um"}
     keys |= {"smoothness_ratio", "true_smoothness_ratio", "kept_outside_artefacts", "time_ratio", "time_ratio_warm"}
+    keys |= {"time_ratio_filtered", "time_ratio_with_check"}
     assert all(keys <= set(row) for row in plain["rows"])
-    done = {(row["field"], row["method"]): row for row in plain["rows"]}
-    for field in ("interpolated-raw", "interpolated-median", "cubic-gaussian", "neural-raw"):
+    done = {(row["field"], row["method"]): row for row in plain["rows"] if row["phantom"] == TINY.phantoms[0]}
+    fields = {f"{kind}-{name}" for kind in ("neural", "interpolated") for name in FILTERS} | {"cubic-gaussian"}
+    assert {f for f, _ in done} == fields | {f"voxels-{name}" for name in FILTERS}
+    for field in fields:
         assert {"newton", "least_squares", "paper-newton"} <= {m for f, m in done if f == field}
+    assert {f for f, m in done if m == "paper-sgd"} == {f for f, m in done if m == "sgd"} == set(DESCENDED)
     newton = done["interpolated-gaussian", "newton"]
     assert newton["hit_rate"] > 0.9
     assert newton["spread_um"] < 7.3
     assert newton["paper_hit_rate"] == PAPER["newton"]["hit_rate"]
     assert newton["time_ratio"] > 0
     assert done["voxels-raw", "baseline"]["time_ratio"] == 1.0
+    timed = {(row["field"], row["method"]): row for row in plain["rows"] if "16x160x64" in row["phantom"]}
+    assert {"neural-raw-torch", "neural-gaussian-torch"} <= {f for f, _ in timed}
+    assert all(row["time_ratio_with_check"] <= row["time_ratio"] for row in timed.values())
     assert plain["configuration"]["bench"]["side_m"] == TINY.side_m
     assert result.pictures["raster-flat-13dB-single-look.png"].startswith(b"\x89PNG")
     assert told[-1][1] <= 1.0
@@ -161,4 +201,6 @@ def test_scans_without_truth_are_refused(tmp_path):
 @pytest.mark.slow
 def test_the_quick_run_ends():
     result = run(BenchmarkRequest(device="cpu", quick=True))
-    assert {row["phantom"] for row in result.rows} == set(QUICK.phantoms)
+    timed = f"wavy{SYSTEM}-64x160x192"
+    assert {row["phantom"] for row in result.rows} == {*QUICK.phantoms, timed}
+    assert {row["field"] for row in result.rows if row["phantom"] != timed} >= {"neural-raw", "interpolated-gaussian"}
