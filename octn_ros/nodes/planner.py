@@ -25,6 +25,7 @@ from octn_ros.nodes import conversions, process, qos, status
 from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters
+from octn_ros.nodes.worker import run_aside
 from octn_ros.planning import (
     Plan,
     PlannerConfig,
@@ -37,6 +38,7 @@ from octn_ros.planning import (
 )
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
+from octn_ros.training.warm_up import warm_up_queries
 
 KEPT_POSES = 8  # scan_ee_pose of the last scans: the pose of a scan comes before its field
 
@@ -88,6 +90,7 @@ class Planner(Node):
             f"ready: device {device}, calibration {self._calibration.deviation:.1e} from orthonormal, "
             f"{len(self._keep_out)} keep-out regions"
         )
+        run_aside(lambda: warm_up_queries(device=device), "warm-up")
 
     # --- fields and poses
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import atexit
 import os
 import sys
+import threading
 from collections.abc import Callable
 
 import rclpy
@@ -60,12 +60,17 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
         if any_working():
-            atexit.register(_leave)
+            threading.Thread(target=_leave, name="leave", daemon=True).start()
     return 0
 
 
 def _leave() -> None:
-    """Leave the interpreter as it is: taken down under a thread that still computes in C++, it would abort."""
+    """Leave the interpreter as it is once the main thread has ended.
+
+    Taken down under a thread that still computes in C++, it would abort. And what is registered with `atexit` comes
+    too late: the interpreter first waits for the kernels' threads, which may be compiling for seconds.
+    """
+    threading.main_thread().join()
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(0)

@@ -20,6 +20,7 @@ from octn_ros.nodes import conversions, process
 from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters
+from octn_ros.nodes.worker import run_aside
 from octn_ros.planning import (
     RasterPattern,
     SurfaceSearchConfig,
@@ -31,6 +32,7 @@ from octn_ros.planning import (
 )
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
+from octn_ros.training.warm_up import warm_up_queries
 
 LARGEST_LINE = 1_000_000  # samples of one query
 
@@ -71,6 +73,7 @@ class Query(Node):
         self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
         self.create_service(GetPlan, "query_surface", self._query_surface, callback_group=group)
         self.get_logger().info(f"ready: device {device}")
+        run_aside(lambda: warm_up_queries(device=device), "warm-up")
 
     def _on_field(self, received: ReceivedField) -> None:
         self.get_logger().info(f"field {received.hash} of the scan at {received.stamp_ns} ns received")

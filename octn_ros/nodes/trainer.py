@@ -26,10 +26,11 @@ from octn_ros.nodes import conversions, process, qos, status
 from octn_ros.nodes.bscan_pairs import BScanPairs
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
-from octn_ros.nodes.worker import Worker
+from octn_ros.nodes.worker import Worker, run_aside
 from octn_ros.query import enface
 from octn_ros.settings import check_settings, setting
 from octn_ros.training import PRESETS, FitConfig, FitProgress, FitResult, fit
+from octn_ros.training.warm_up import warm_up
 from octn_ros.volume import OCT_FRAME, IntensityScale, Volume, load_volume
 from octn_ros.volume.assembly import CScanAssembler
 
@@ -120,6 +121,8 @@ class Trainer(Node):
         # In a group of its own: it waits for nothing.
         self.create_service(Trigger, "cancel", self._cancel, callback_group=MutuallyExclusiveCallbackGroup())
         self.get_logger().info(f"ready: preset {config.preset}, device {self._device}")
+        fit_config = self._fit_config.config()
+        run_aside(lambda: warm_up(fit_config, self._device), "warm-up")
 
     def destroy_node(self) -> None:
         """Cancel the fit and withdraw the node from the graph."""

@@ -14,8 +14,13 @@ class _WorkerThread(threading.Thread):
 
 
 def any_working() -> bool:
-    """Return whether the thread of any worker of this process lives."""
+    """Return whether the thread of any worker of this process lives, or one that `run_aside` began."""
     return any(isinstance(thread, _WorkerThread) for thread in threading.enumerate())
+
+
+def run_aside(job: Callable[[], None], name: str) -> None:
+    """Run a job once in a thread that nobody waits for, not even the end of the process."""
+    _WorkerThread(target=job, name=name, daemon=True).start()
 
 
 class Worker:

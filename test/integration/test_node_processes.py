@@ -130,6 +130,19 @@ def test_an_interrupt_ends_the_trainer_during_a_fit(start: Callable[..., Any], c
     end(trainer)
 
 
+@pytest.mark.parametrize("node", ["trainer", "query"])
+def test_an_interrupt_ends_a_node_that_still_compiles(
+    start: Callable[..., Any], node: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))  # nothing is compiled yet
+    process = start(node, *parameters("device:=cpu"))
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while not any(path.is_file() for path in tmp_path.rglob("*.nbi")):  # the first kernel is done, many are to come
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    end(process)
+
+
 def test_a_terminated_node_ends_in_order(start: Callable[..., Any], client: Any) -> None:
     simulator = start("simulator", *parameters(*PARAMETERS["simulator"]))
     client.watch(DiagnosticArray, "execution_status").wait(START_TIMEOUT_S)
