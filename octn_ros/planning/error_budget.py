@@ -94,6 +94,9 @@ def error_budget(
     waypoints: WaypointConfig,
     normal_reach_m: float,
     config: ErrorBudgetConfig | None = None,
+    *,
+    roots_m: NDArray[np.float64] | None = None,
+    min_slope_per_m: float = 0.0,
 ) -> ErrorBudget:
     """Add up what is known about the errors of a plan.
 
@@ -106,13 +109,17 @@ def error_budget(
         waypoints: where the focus lies with respect to the surface.
         normal_reach_m: lateral reach over which a normal was averaged.
         config: what is known about the system; the defaults if left out.
+        roots_m: depth of the level set at the surface points [N] before it was smoothed, whose scatter is that of the
+            measurement; that of `surface_m` if left out.
+        min_slope_per_m: slope up to which a residual tells nothing about a distance.
     """
     config = config or ErrorBudgetConfig()
-    spread = _spread(surface_m, config)
+    scattered = surface_m if roots_m is None else np.column_stack([surface_m[:, :2], roots_m])
+    spread = _spread(scattered, config)
     return ErrorBudget(
         (
             *_calibration_terms(calibration, surface_m),
-            _field_term(residual, slope_per_m),
+            _field_term(residual, slope_per_m, min_slope_per_m),
             spread,
             _offset_term(config),
             *_refraction_terms(normals, waypoints, (spread.micrometres or 0.0) * 1e-6, normal_reach_m, config),
@@ -155,12 +162,18 @@ def _calibration_terms(calibration: Calibration, surface_m: NDArray[np.float64])
     return terms
 
 
-def _field_term(residual: NDArray[np.float64], slope_per_m: NDArray[np.float64]) -> ErrorTerm:
-    rising = slope_per_m > 0
+def _field_term(residual: NDArray[np.float64], slope_per_m: NDArray[np.float64], least_per_m: float) -> ErrorTerm:
+    rising = slope_per_m > least_per_m
     if not rising.any():
-        return ErrorTerm("field", None, f"{NOT_STATED}: the field does not rise along the beam at any waypoint")
+        return ErrorTerm(
+            "field", None, f"{NOT_STATED}: the field does not rise along the beam at any waypoint, or hardly"
+        )
     rms = float(np.sqrt(np.mean(np.square(residual[rising] / slope_per_m[rising]))))
-    return ErrorTerm("field", rms * 1e6, "RMS of what is left of f - tau over the field's axial slope, per waypoint")
+    source = "RMS of what is left of f - tau over the field's axial slope, per waypoint"
+    flat = int((~rising).sum())
+    if flat:
+        source += f"; without {flat} of {len(rising)} waypoints whose slope is too small for it"
+    return ErrorTerm("field", rms * 1e6, source)
 
 
 def _spread(surface_m: NDArray[np.float64], config: ErrorBudgetConfig) -> ErrorTerm:
@@ -170,7 +183,7 @@ def _spread(surface_m: NDArray[np.float64], config: ErrorBudgetConfig) -> ErrorT
     rms = local_plane_rms_m(surface_m)
     if math.isnan(rms):
         return ErrorTerm("surface spread", None, f"{NOT_STATED}: fewer than {_NEIGHBOURS} waypoints, no local planes")
-    source = f"RMS about planes through {_NEIGHBOURS} neighbours, the tissue's own roughness included"
+    source = f"RMS of the level set about planes through {_NEIGHBOURS} neighbours, the tissue's roughness included"
     return ErrorTerm("surface spread", rms * 1e6, source)
 
 

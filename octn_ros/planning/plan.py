@@ -286,7 +286,7 @@ def _budget(
     points = torch.from_numpy(geometry.metric_to_canonical(level_set).clip(-1.0, 1.0).astype(np.float32))
     _, gradient = field.value_and_gradient(points.to(field.device))
     slope_per_m = gradient[:, 1].cpu().numpy().astype(np.float64) / geometry.metres_per_canonical[1]
-    bscan_m, _, lateral_m = geometry.spacing_m
+    bscan_m, axial_m, lateral_m = geometry.spacing_m
     return error_budget(
         calibration,
         kept_m,
@@ -296,4 +296,6 @@ def _budget(
         config.waypoints,
         config.waypoints.normal_radius_voxels * min(bscan_m, lateral_m),
         config.budget,
+        roots_m=None if search.root_depth_m is None else search.root_depth_m[~search.given_up],
+        min_slope_per_m=config.search.min_gradient / axial_m,
     )

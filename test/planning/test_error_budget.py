@@ -4,9 +4,17 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from octn_ros.errors import ConfigurationError
-from octn_ros.planning import Calibration, ErrorBudgetConfig, WaypointConfig, plan_raster, plan_to_plain
+from octn_ros.planning import (
+    Calibration,
+    ErrorBudgetConfig,
+    SurfaceSearchConfig,
+    WaypointConfig,
+    plan_raster,
+    plan_to_plain,
+)
 from octn_ros.planning.error_budget import error_budget, local_plane_rms_m
 from octn_ros.planning.plan import PlannerConfig
 
@@ -59,6 +67,39 @@ def test_few_waypoints_state_no_spread(calibration):
     points = lattice()[:5]
     found = error_budget(calibration, points, np.zeros(5), np.zeros(5), UP[:5], WaypointConfig(), 3e-5)
     assert {"field", "surface spread"} <= set(found.not_stated)
+
+
+def test_flat_places_are_left_out_of_the_field_term_and_counted(calibration):
+    residual, slope = np.full(400, 0.01), np.full(400, 4e3)
+    slope[:7], slope[7:9] = 1e-6, -3.0
+    found = error_budget(
+        calibration, lattice(), residual, slope, UP, WaypointConfig(), 3e-5, min_slope_per_m=1e-3 / 14.59e-6
+    )
+    field = next(term for term in found.terms if term.name == "field")
+    assert field.micrometres == pytest.approx(2.5)
+    assert "without 9 of 400 waypoints" in field.source
+    assert "without" not in budget(calibration)[0]["field"].source
+
+
+def test_the_spread_is_that_of_the_level_set_and_not_of_the_smoothed_path(calibration, make_field):
+    smooth, rough = lattice(), lattice(5e-6)
+    found = error_budget(
+        calibration, smooth, np.zeros(400), np.ones(400), UP, WaypointConfig(), 3e-5, roots_m=rough[:, 2]
+    )
+    spread = next(term for term in found.terms if term.name == "surface spread")
+    assert spread.micrometres == pytest.approx(5.0, rel=0.15)
+
+    def bumps(x, y):
+        return 1e-3 + 6e-6 * (torch.sin(x / 21e-6 + 1e4 * y) + torch.sin(y / 17e-6 - 7e3 * x))
+
+    stated = {}
+    for refinement in ("newton", "least_squares"):
+        config = PlannerConfig(search=SurfaceSearchConfig(refinement=refinement))
+        plan = plan_raster(make_field(bumps), calibration, (3e-4, -1e-4), (8e-4, 6e-4), 0.0, config, tau=0.4)
+        stated[refinement] = {term.name: term.micrometres for term in plan.error_budget.terms}["surface spread"]
+        if refinement == "least_squares":
+            assert local_plane_rms_m(plan.surface_m) * 1e6 < 0.9 * stated["newton"]
+    assert stated["least_squares"] == pytest.approx(stated["newton"])
 
 
 def test_refraction_grows_with_depth_index_and_slope(calibration):
