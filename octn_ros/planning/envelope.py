@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,12 +15,18 @@ from octn_ros.errors import PlanError
 from octn_ros.planning.calibration import Calibration
 from octn_ros.planning.keep_out import KeepOut
 from octn_ros.planning.surface_search import GiveUp, SurfaceSearch
+from octn_ros.planning.waypoints import BEAM
 from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry
 
 _INSIDE_M = 1e-9
-# Places between two waypoints that are held against keep-out regions lie at most this far apart.
-_BETWEEN_M = 10e-6
+# Beams between two waypoints that are held against keep-out regions lie at most this far apart.
+_BETWEEN_M = 4e-6
+# Shortest step along a beam; half of it and half the way to the next beam are added to the clearance, so that nothing
+# between is missed.
+_STEP_M = 0.5e-6
+# Waypoints whose beams are held against a region together, which bounds the memory.
+_CHUNK = 20_000
 _NAMED_VIOLATIONS = 3
 
 
@@ -60,6 +66,7 @@ class PathToCheck:
         segment: gapless stretch it belongs to [N].
         laser_on: whether the laser fires there [N].
         confidence: of its surface point [N]; not read where the laser is off.
+        axis: unit z of each waypoint [N, 3], along which the laser comes; the OCT beam if left out.
     """
 
     focus_m: NDArray[np.float64]
@@ -67,6 +74,7 @@ class PathToCheck:
     segment: NDArray[np.int32]
     laser_on: NDArray[np.bool_]
     confidence: NDArray[np.float64]
+    axis: NDArray[np.float64] | None = None
 
 
 class Violation(NamedTuple):
@@ -108,8 +116,10 @@ def check_envelope(
     """Refuse a path that leaves the envelope.
 
     A waypoint lies inside the scanned field if its surface point does, its focus does laterally, and its focus is no
-    deeper than the scan; a standoff may lift the focus above the first voxel, where there is air. The stretch between
-    two waypoints that both fire is held against keep-out regions too.
+    deeper than the scan; a standoff may lift the focus above the first voxel, where there is air. Held against keep-out
+    regions are the focus, the way of the focus between two waypoints that both fire, and where the laser fires its beam
+    above the focus, along the waypoint's z up to the depth of the first voxel. Above that, and of the cone that the
+    beam is, nothing is checked.
 
     Raises:
         PlanError: names how many waypoints break which limits, and the first ones, where and why; or a keep-out
@@ -149,7 +159,7 @@ def find_violations(
     for region in keep_out:
         if calibration is None:
             raise PlanError(f"expected a calibration to place the keep-out region {region.name!r}, got none")
-        found += _forbidden(path, region, config, calibration, scan_ee2base)
+        found += _forbidden(path, geometry, region, config, calibration, scan_ee2base)
     return sorted(found, key=lambda violation: violation.waypoint)
 
 
@@ -213,30 +223,78 @@ def _unsure(path: PathToCheck, config: EnvelopeConfig) -> list[Violation]:
 
 def _forbidden(
     path: PathToCheck,
+    geometry: VolumeGeometry,
     region: KeepOut,
     config: EnvelopeConfig,
     calibration: Calibration,
     scan_ee2base: NDArray[np.float64] | None,
 ) -> list[Violation]:
-    """Waypoints in a region, or too close to it, and those from which the next one is reached through it."""
+    """Waypoints in or under a region, or too close to it, and those from which the next one is reached so."""
     focus = path.focus_m
-    leg = np.linalg.norm(np.diff(focus, axis=0), axis=1)
-    fired = (np.diff(path.segment) == 0) & path.laser_on[1:] & path.laser_on[:-1]
-    parts = np.where(fired, np.ceil(leg / _BETWEEN_M), 1.0).astype(np.intp).clip(1, math.ceil(1e-2 / _BETWEEN_M))
-    parts = np.append(parts, 1)
-    index = np.repeat(np.arange(len(focus)), parts)
-    share = (np.arange(len(index)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[index]
-    following = focus[np.minimum(index + 1, len(focus) - 1)]
-    places = focus[index] + share[:, None] * (following - focus[index])
-    distance = region.distance_m(places, calibration.oct2ee, scan_ee2base)
-    nearest = np.full(len(focus), np.inf)
-    np.minimum.at(nearest, index, distance)
-    bad = nearest <= config.clearance_m
-    what = f"keep-out region {region.name!r} ({region.shape} in {region.frame})"
+    axis = np.broadcast_to(BEAM, focus.shape) if path.axis is None else path.axis
+    height = np.where(path.laser_on, np.maximum(focus[:, 2] - geometry.origin_m[2], 0.0), 0.0)
+    top = focus - (height / axis[:, 2])[:, None] * axis
+    fired = np.append((np.diff(path.segment) == 0) & path.laser_on[1:] & path.laser_on[:-1], False)
+    at_focus, in_beam = np.full(len(focus), np.inf), np.full(len(focus), np.inf)
+
+    def distance_m(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        return region.distance_m(places, calibration.oct2ee, scan_ee2base)
+
+    for start in range(0, len(focus), _CHUNK):
+        chunk = np.arange(start, min(start + _CHUNK, len(focus)))
+        following = np.minimum(chunk + 1, len(focus) - 1)
+        low_leg, high_leg = focus[following] - focus[chunk], top[following] - top[chunk]
+        leg = np.fmax(np.linalg.norm(low_leg, axis=1), np.linalg.norm(high_leg, axis=1))
+        leg = np.where(fired[chunk] & np.isfinite(leg), leg, 0.0)
+        parts = np.ceil(leg / _BETWEEN_M).astype(np.intp).clip(1, math.ceil(1e-2 / _BETWEEN_M))
+        beam = np.repeat(np.arange(len(chunk)), parts)
+        share = ((np.arange(len(beam)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[beam])[:, None]
+        allowed = config.clearance_m + 0.5 * (leg / parts)[beam]
+        below, along = _approach(
+            distance_m, focus[chunk][beam] + share * low_leg[beam], top[chunk][beam] + share * high_leg[beam], allowed
+        )
+        np.minimum.at(at_focus, chunk[beam], np.where(below <= allowed, below, np.inf))
+        np.minimum.at(in_beam, chunk[beam], np.where(along <= allowed + 0.5 * _STEP_M, along, np.inf))
+    bad = np.isfinite(at_focus) | np.isfinite(in_beam)
+    what = f"the keep-out region {region.name!r} ({region.shape} in {region.frame})"
     reasons = [
-        f"in the {what}"
-        if d == 0.0
-        else f"{d * 1e6:.1f} um from the {what}, nearer than {config.clearance_m * 1e6:g} um"
-        for d in nearest[bad]
+        _closeness(what, at, config.clearance_m)
+        if np.isfinite(at)
+        else f"its beam comes within {crossed * 1e6:.1f} um of {what}"
+        for at, crossed in zip(at_focus[bad], in_beam[bad], strict=True)
     ]
     return _violations(path, bad, f"at keep-out region {region.name!r}", reasons)
+
+
+def _closeness(what: str, distance_m: float, clearance_m: float) -> str:
+    if distance_m == 0.0:
+        return f"in {what}"
+    limit = f"nearer than {clearance_m * 1e6:g} um"
+    return f"{distance_m * 1e6:.1f} um from {what}, {limit if distance_m <= clearance_m else f'perhaps {limit}'}"
+
+
+def _approach(
+    distance_m: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    allowed: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Walk along stretches [N, 3] in steps as long as what is free around.
+
+    A distance changes by no more than one walks, so what comes nearer than `allowed` [N] is met within half a step.
+
+    Returns:
+        Distance at the starts [N], and the least one that was met [N].
+    """
+    way = end - start
+    length = np.linalg.norm(way, axis=1)
+    direction = way / np.where(length > 0.0, length, 1.0)[:, None]
+    walked, first, least = np.zeros(len(start)), np.empty(0), np.full(len(start), np.inf)
+    active = np.arange(len(start))
+    while len(active):
+        distance = distance_m(start[active] + walked[active, None] * direction[active])
+        first = distance if len(first) == 0 else first
+        least[active] = np.minimum(least[active], distance)
+        walked[active] += np.maximum(distance - allowed[active], _STEP_M)
+        active = active[(distance > allowed[active] + 0.5 * _STEP_M) & (walked[active] <= length[active])]
+    return first, least

@@ -212,7 +212,9 @@ def plan_region(
     checked = time.perf_counter()
     confidence = np.where(path.laser_on, search.confidence[kept][path.source], np.nan)
     check_envelope(
-        PathToCheck(waypoints_oct[:, :3, 3], surface_m, path.segment, path.laser_on, confidence),
+        PathToCheck(
+            waypoints_oct[:, :3, 3], surface_m, path.segment, path.laser_on, confidence, waypoints_oct[:, :3, 2]
+        ),
         field.geometry,
         config.envelope,
         keep_out,

@@ -93,6 +93,43 @@ def test_a_thin_region_between_two_waypoints_counts_only_if_the_laser_fires_ther
     assert not find_violations(turn, GEOMETRY, EnvelopeConfig(), [wall], calibration)
 
 
+@pytest.mark.parametrize("x", np.linspace(3.02e-4, 3.95e-4, 8))
+def test_a_box_of_3_um_on_the_way_is_met_wherever_it_is(calibration, x):
+    centre = np.array([x, 5e-4, 5e-4])
+    found = find_violations(
+        line_path(5e-4), GEOMETRY, EnvelopeConfig(), [box(centre - 1.5e-6, centre + 1.5e-6)], calibration
+    )
+    assert [violation.waypoint for violation in found] == [1]
+    beside = box(centre + np.array([-1e-6, 4e-6, -1e-6]), centre + np.array([1e-6, 6e-6, 1e-6]))
+    assert not find_violations(line_path(5e-4), GEOMETRY, EnvelopeConfig(), [beside], calibration)
+
+
+def test_a_box_that_the_beam_has_to_cross_is_met_and_one_below_the_focus_is_not(calibration):
+    def found(region, **changes):
+        path = line_path(5e-4, **changes)
+        return find_violations(path, GEOMETRY, EnvelopeConfig(), [region], calibration)
+
+    above = box((3.9e-4, 4.9e-4, 2.000e-4), (4.1e-4, 5.1e-4, 2.005e-4))
+    assert [violation.waypoint for violation in found(above)] == [1, 2]
+    assert "its beam comes within 2.0 um of the keep-out region 'vessel'" in found(above)[0].reason
+    between = box((3.49e-4, 4.99e-4, 2.00e-4), (3.51e-4, 5.01e-4, 2.02e-4))
+    assert [violation.waypoint for violation in found(between)] == [1]
+    assert not found(above, laser_on=np.zeros(5, bool))
+    assert not found(box((3e-4, 4e-4, 5.03e-4), (5e-4, 6e-4, 9e-4)))
+    assert not found(box((3e-4, 4e-4, -9e-4), (5e-4, 6e-4, -1e-5)))  # above what was scanned
+    # Tilted by 45 degrees towards x, the beam of the third waypoint comes down 0.3 mm beside it.
+    tilted = np.tile(np.sqrt((0.5, 0.0, 0.5)), (5, 1))
+    assert not found(above, axis=tilted, segment=np.arange(5))[1:]
+    aside = box((0.9e-4, 4.9e-4, 1.9e-4), (1.1e-4, 5.1e-4, 2.1e-4))
+    assert [violation.waypoint for violation in found(aside, axis=tilted, segment=np.arange(5))] == [2]
+    assert not found(aside)
+
+
+def test_a_region_along_the_path_is_walked_past_in_reasonable_time(calibration):
+    wall = box((1e-4, 5.03e-4, 0.0), (9e-4, 6e-4, 1e-3))  # 3 um beside all beams
+    assert not find_violations(line_path(5e-4), GEOMETRY, EnvelopeConfig(), [wall], calibration)
+
+
 def test_clearance(calibration):
     region = [box((4e-4, 6e-4, 0.0), (5e-4, 7e-4, 1e-3))]
     check_envelope(line_path(5e-4), GEOMETRY, EnvelopeConfig(clearance_m=9e-5), region, calibration)
