@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 import threading
@@ -60,17 +61,14 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
         if any_working():
-            threading.Thread(target=_leave, name="leave", daemon=True).start()
+            # Before the interpreter waits for the threads that run kernels, which may be compiling for seconds; that is
+            # where concurrent.futures registers this wait, and atexit comes after it.
+            getattr(threading, "_register_atexit", atexit.register)(_leave)
     return 0
 
 
 def _leave() -> None:
-    """Leave the interpreter as it is once the main thread has ended.
-
-    Taken down under a thread that still computes in C++, it would abort. And what is registered with `atexit` comes
-    too late: the interpreter first waits for the kernels' threads, which may be compiling for seconds.
-    """
-    threading.main_thread().join()
+    """Leave the interpreter as it is: taken down under a thread that still computes in C++, it would abort."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(0)
