@@ -62,8 +62,8 @@ class SurfaceSearchConfig:
     max_step_m: float = setting(29e-6, "longest Newton step", unit="m", low=1e-9, high=5e-3)
     convergence: float = setting(0.01, "|f - tau| / tau at which a waypoint is done", low=1e-6, high=0.5)
     tolerance: float = setting(0.05, "|f - tau| / tau above which a root is given up", low=1e-6, high=0.5)
-    smoothness: float = setting(
-        0.07, "lambda of eq. 14, for depths in axial voxels", unit="1/voxel^2", low=0.0, high=1e6
+    smoothness_per_m2: float = setting(
+        3.3e8, "lambda of eq. 14, for depths in metres", unit="1/m^2", low=0.0, high=1e18
     )
     leeway_m: float = setting(22e-6, "how far the smooth path may leave the level set", unit="m", low=0.0, high=5e-3)
     smoothing_steps: int = setting(20, "largest number of least-squares steps", low=1, high=1000)
@@ -285,7 +285,7 @@ def _smooth(
         target,
         torch.from_numpy(kept.astype(np.float32)).to(target.device),
         turn_mask(pattern.segment, first, config.break_m / axial_m),
-        config.smoothness,
+        config.smoothness_per_m2 * axial_m**2,
     )
     from_roots = torch.from_numpy(first.astype(np.float32)).to(target.device)
     # The path may leave a root by little, so that what holds for roots holds for it; elsewhere it is clamped as in the
@@ -306,8 +306,8 @@ def _method(config: SurfaceSearchConfig, surface: CoarseSurface) -> str:
     refinement = {
         "newton": "bracketed Newton with exact gradients and bisection",
         "least_squares": "sparse least squares of eq. 14 from Newton's roots, "
-        f"lambda {config.smoothness:g} per voxel^2",
-        "sgd": f"{config.descent_steps} steps of gradient descent on eq. 14, lambda {config.smoothness:g} per voxel^2",
+        f"lambda {config.smoothness_per_m2:g} / m^2",
+        "sgd": f"{config.descent_steps} steps of gradient descent on eq. 14, lambda {config.smoothness_per_m2:g} / m^2",
     }[config.refinement]
     aperture = f", the field averaged within {config.aperture_m * 1e6:.0f} um" if config.aperture_m > 0 else ""
     local = ", tau half-way between air and tissue around each waypoint" if config.tau_mode == "local" else ""

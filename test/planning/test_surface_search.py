@@ -65,8 +65,9 @@ def test_noise_does_not_lead_away_from_the_surface(make_field):
     assert distance.max_um < 40
 
 
+@pytest.mark.parametrize("refinement", ["newton", "least_squares"])
 @pytest.mark.parametrize("axial", [(278, 5e-6), (139, 10e-6)])
-def test_what_is_found_does_not_depend_on_the_axial_spacing(make_field, axial):
+def test_what_is_found_does_not_depend_on_the_axial_spacing(make_field, axial, refinement):
     def rough(x, y):  # bumps of 15 um root mean square, 0.1 mm apart
         return 1e-3 + 15e-6 * (torch.sin(x / 21e-6 + 1e4 * y) + torch.sin(y / 17e-6 - 7e3 * x))
 
@@ -76,13 +77,16 @@ def test_what_is_found_does_not_depend_on_the_axial_spacing(make_field, axial):
         field.geometry = dataclasses.replace(
             field.geometry, shape=(40, axials, 64), spacing_m=(28e-6, spacing_m, 14e-6)
         )
-        searches.append(find_surface(field, RASTER, TAU, SurfaceSearchConfig(convergence=1e-4)))
+        config = SurfaceSearchConfig(convergence=1e-4, refinement=refinement)
+        searches.append(find_surface(field, RASTER, TAU, config))
     one, other = searches
     assert not one.given_up.all()
     assert (one.given_up == other.given_up).mean() > 0.98
     both = ~one.given_up & ~other.given_up
     assert both.mean() > 0.6
-    assert np.abs(one.depth_m - other.depth_m)[both].max() < 1e-6
+    apart = np.abs(one.depth_m - other.depth_m)[both]
+    # Beside a point that only one of them gave up the smooth path differs.
+    assert np.percentile(apart, 100 if refinement == "newton" else 90) < 1e-6
     assert np.median(np.abs(one.confidence - other.confidence)[both]) < 0.1
 
 
