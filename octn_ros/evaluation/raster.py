@@ -14,7 +14,7 @@ from octn_ros.evaluation.benchmark import BenchmarkRequest, BenchmarkResult, Col
 from octn_ros.evaluation.raster_config import QUICK, SYSTEM, RasterBenchConfig
 from octn_ros.evaluation.raster_fields import FILTERS, filtered, phantom_config, table_fields
 from octn_ros.evaluation.raster_judgement import Judge
-from octn_ros.evaluation.raster_methods import BASELINE, DESCENTS, EVERYWHERE, ON_EVERY_FIELD, methods
+from octn_ros.evaluation.raster_methods import BASELINE, DESCENDED, DESCENTS, EVERYWHERE, ON_EVERY_FIELD, methods
 from octn_ros.evaluation.raster_picture import raster_picture
 from octn_ros.evaluation.raster_timing import TimedSearch, TimeRatios, measure_times
 from octn_ros.field import InterpolatedField
@@ -53,8 +53,6 @@ PAPER: dict[str, dict[str, float]] = {
     "sgd": {"hit_rate": 0.156, "smoothness_ratio": 1.0 - 0.569, "time_ratio": 0.2},
     BASELINE: {"hit_rate": 0.125, "smoothness_ratio": 1.0, "time_ratio": 1.0},
 }
-# Gradient descent is waited for on these, and they are drawn.
-DESCENDED = ("interpolated-gaussian", "neural-raw")
 _OF_PAPER = {"least_squares": "sgd", "paper-newton": "newton", "paper-sgd": "sgd"}
 _DEVIATIONS = (
     "Phantoms with a known surface take the place of the paper's porcine sample, which has none; they are cropped to "

@@ -20,6 +20,8 @@ BASELINE = "baseline"
 EVERYWHERE = ("newton", "least_squares")
 ON_EVERY_FIELD = (*EVERYWHERE, "paper-newton")
 DESCENTS = ("sgd", "paper-sgd")
+# Gradient descent is waited for on these fields, and they are drawn.
+DESCENDED = ("interpolated-gaussian", "neural-raw")
 
 
 def methods(config: RasterBenchConfig, names: Sequence[str]) -> dict[str, Method]:

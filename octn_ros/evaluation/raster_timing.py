@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from octn_ros.evaluation.benchmark import Progress
 from octn_ros.evaluation.raster_config import SYSTEM, RasterBenchConfig
 from octn_ros.evaluation.raster_fields import FilteredVolume, NamedField, filtered, neural_field, phantom_config
-from octn_ros.evaluation.raster_methods import BASELINE, DESCENTS, ON_EVERY_FIELD, methods
+from octn_ros.evaluation.raster_methods import BASELINE, DESCENDED, DESCENTS, ON_EVERY_FIELD, methods
 from octn_ros.field import InterpolatedField, NeuralField
 from octn_ros.planning import RasterPattern, SurfaceSearch
 from octn_ros.planning.baseline import knn_baseline
@@ -105,8 +105,9 @@ def measure_times(
         runs.append((f"voxels-{name}", BASELINE, *_baseline(voxels[0], pattern, filter_s)))
         for entry in _fields(voxels[0], device, config):
             progress("timing", share + 0.2, f"{entry.name}, {len(pattern.points_m)} waypoints")
-            # Descents are waited for where they are the paper's: on the fitted field of the measured voxels.
-            descents = entry.name.startswith("neural-raw-") and not entry.name.endswith("-torch")
+            # Once for each field, with the back end it has by itself.
+            plain = "-".join(entry.name.split("-")[:2])
+            descents = plain in DESCENDED and not any(field.startswith(plain) for field, _, _, _ in runs)
             for method, search_with in methods(config, ON_EVERY_FIELD + (DESCENTS if descents else ())).items():
                 repeats = 1 if method in DESCENTS else _REPEATS
                 if repeats > 1:

@@ -8,11 +8,11 @@ import pytest
 
 from octn_ros.errors import ConfigurationError
 from octn_ros.evaluation.benchmark import BenchmarkRequest
-from octn_ros.evaluation.raster import DESCENDED, PAPER, centred_raster, offset_notes, run
+from octn_ros.evaluation.raster import PAPER, centred_raster, offset_notes, run
 from octn_ros.evaluation.raster_config import QUICK, SYSTEM, RasterBenchConfig
 from octn_ros.evaluation.raster_fields import FILTERS, filtered, phantom_config
 from octn_ros.evaluation.raster_judgement import Judge
-from octn_ros.evaluation.raster_methods import BASELINE, DESCENTS, methods
+from octn_ros.evaluation.raster_methods import BASELINE, DESCENDED, DESCENTS, methods
 from octn_ros.evaluation.raster_timing import TimeRatios, Timing, time_ratios
 from octn_ros.evaluation.report import result_to_plain
 from octn_ros.field import InterpolatedField
@@ -186,6 +186,7 @@ def test_the_whole_table_on_a_tiny_phantom():
     assert newton["time_ratio"] > 0
     assert done["voxels-raw", "baseline"]["time_ratio"] == 1.0
     timed = {(row["field"], row["method"]): row for row in plain["rows"] if "16x160x64" in row["phantom"]}
+    assert sorted(f.removesuffix("-compiled") for f, m in timed if m == "paper-sgd") == sorted(DESCENDED)
     assert {"neural-raw-torch", "neural-gaussian-torch"} <= {f for f, _ in timed}
     assert all(row["time_ratio_with_check"] <= row["time_ratio"] for row in timed.values())
     assert plain["configuration"]["bench"]["side_m"] == TINY.side_m
