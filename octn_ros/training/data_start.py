@@ -16,7 +16,11 @@ from octn_ros.field.grid_level import GridLevel
 from octn_ros.volume import Volume, VolumeGeometry
 
 
-def start_from_data(model: NeuralModel, volume: Volume) -> None:
+class _CancelledError(Exception):
+    """Leaves the loop over the B-scans."""
+
+
+def start_from_data(model: NeuralModel, volume: Volume, cancelled: Callable[[], bool]) -> None:
     """Set a model, in place, to the volume averaged over the cells of its finest level that stores every vertex.
 
     The first feature of each vertex there becomes the mean of the voxels around it, weighted as interpolation weights
@@ -28,11 +32,21 @@ def start_from_data(model: NeuralModel, volume: Volume) -> None:
     Args:
         model: on any device.
         volume: the C-scan; read B-scan by B-scan, not copied.
+        cancelled: asked before every B-scan; True leaves the model as it is.
     """
     number = _carrying_level(model)
     if number is None:
         return
-    average = block_average(volume.normalized, model.grid.grid_levels[number], volume.geometry)
+
+    def plane(index: tuple[int]) -> NDArray[np.float32]:
+        if cancelled():
+            raise _CancelledError
+        return volume.normalized(index)
+
+    try:
+        average = block_average(plane, model.grid.grid_levels[number], volume.geometry)
+    except _CancelledError:
+        return
     hidden = [layer for layer in model.network.hidden if isinstance(layer, nn.Linear)]
     with torch.no_grad():
         _carrier(model, number).copy_(torch.from_numpy(average).flatten())
@@ -45,7 +59,13 @@ def start_from_data(model: NeuralModel, volume: Volume) -> None:
         model.network.output.bias.zero_()
 
 
-def follow_data(model: NeuralModel, volume: Volume, field: Field, error: Callable[[NeuralModel], float]) -> None:
+def follow_data(
+    model: NeuralModel,
+    volume: Volume,
+    field: Field,
+    error: Callable[[NeuralModel], float],
+    cancelled: Callable[[], bool],
+) -> None:
     """Move a model, in place, from the scan it was fitted to towards a new one of the same geometry.
 
     Of three states the one with the least error is kept: the model as it is; with the block average of what the new
@@ -57,6 +77,7 @@ def follow_data(model: NeuralModel, volume: Volume, field: Field, error: Callabl
         volume: the new C-scan.
         field: the field of the model as it is.
         error: how far a model is from the new scan.
+        cancelled: asked before every B-scan; True leaves the model as it is.
     """
     number = _carrying_level(model)
     if number is None:
@@ -64,15 +85,20 @@ def follow_data(model: NeuralModel, volume: Volume, field: Field, error: Callabl
     bscan, axial, lateral = (torch.linspace(-1.0, 1.0, n, device=field.device) for n in volume.geometry.shape)
 
     def difference(index: tuple[int]) -> NDArray[np.float32]:
+        if cancelled():
+            raise _CancelledError
         rendered = field.lattice(lateral, axial, bscan[index[0] : index[0] + 1])[0]
         return volume.normalized(index) - rendered.cpu().numpy()
 
-    change = torch.from_numpy(block_average(difference, model.grid.grid_levels[number], volume.geometry)).flatten()
+    try:
+        change = torch.from_numpy(block_average(difference, model.grid.grid_levels[number], volume.geometry)).flatten()
+    except _CancelledError:
+        return
     states = [(error(model), _copied(model))]
     with torch.no_grad():
         _carrier(model, number).add_(change.to(model.grid.table.device))
     states.append((error(model), _copied(model)))
-    start_from_data(model, volume)
+    start_from_data(model, volume, cancelled)
     states.append((error(model), _copied(model)))
     model.load_state_dict(min(states, key=lambda state: state[0])[1])
 

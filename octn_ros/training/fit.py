@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -29,6 +30,7 @@ from octn_ros.volume import Volume
 if TYPE_CHECKING:
     from octn_ros.training.brick_trainer import BrickTrainer
 
+_SEEDING = threading.Lock()
 Ended = Literal["steps", "time", "target", "noise level", "cancelled", "diverged"]
 
 
@@ -98,12 +100,14 @@ def fit(
         config = dataclasses.replace(config, field=start.config)
         model = _model_of(start, volume).to(device)
         if config.start_from_data:
-            follow_data(model, volume, start, lambda here: held_in.mean_squared_error(without_graph(here)))
+            follow_data(
+                model, volume, start, lambda here: held_in.mean_squared_error(without_graph(here)), is_cancelled
+            )
     else:
         config = dataclasses.replace(config, field=config.field.for_volume(volume.geometry))
         model = _seeded_model(config, volume, held_in.mean)
         if config.start_from_data:
-            start_from_data(model, volume)
+            start_from_data(model, volume, is_cancelled)
         model = model.to(device)
     backend = choose_backend(model, config.backend)
     trainer: PointTrainer | BrickTrainer
@@ -203,8 +207,8 @@ def _train(
 
 
 def _seeded_model(config: FitConfig, volume: Volume, mean: float) -> NeuralModel:
-    # Parameters are drawn by torch's global generator; fork it, so that a fit leaves the caller's random state alone.
-    with torch.random.fork_rng(devices=[]):
+    # Parameters are drawn by torch's global generator: one fit at a time, and the caller's random state is put back.
+    with _SEEDING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         model = NeuralModel(config.field, volume.geometry.shape)
     # Start from the volume's mean: the first steps then go into tissue instead of into a constant.
@@ -215,9 +219,7 @@ def _seeded_model(config: FitConfig, volume: Volume, mean: float) -> NeuralModel
 def _model_of(start: NeuralField, volume: Volume) -> NeuralModel:
     """Return a trainable copy of a field's model."""
     there, here = start.geometry, volume.geometry
-    if there.shape != here.shape or not all(
-        math.isclose(a, b, rel_tol=1e-3) for a, b in zip(there.spacing_m, here.spacing_m, strict=True)
-    ):
+    if not there.same_grid(here):
         raise TrainingError(
             f"expected a start field of the volume's shape {here.shape} and spacing {here.spacing_m} m, got one of "
             f"{there.shape} and {there.spacing_m} m; fit anew without it"

@@ -19,6 +19,10 @@ GRID = HashGridConfig(
 )
 
 
+def never():
+    return False
+
+
 def model_of(grid=GRID, layers=1, shape=SHAPE):
     torch.manual_seed(0)
     return NeuralModel(NeuralFieldConfig(grid, NetworkConfig(layers, 9)), shape)
@@ -43,7 +47,7 @@ def test_a_linear_volume_is_reproduced_within(layers):
     z, y, x = np.meshgrid(*(np.linspace(0, 1, n) for n in SHAPE), indexing="ij")
     volume = volume_of(0.1 + 0.3 * z + 0.2 * y + 0.3 * x)
     model = model_of(layers=layers)
-    start_from_data(model, volume)
+    start_from_data(model, volume, never)
     inside = (slice(4, -4), slice(4, -4), slice(4, -4))
     np.testing.assert_allclose(native(field_of(model, volume))[inside], volume.array[inside], atol=3e-3)
 
@@ -69,7 +73,7 @@ def test_cells_finer_than_voxels_are_filled():
     grid = dataclasses.replace(GRID, finest_ratio=3.0, axial_refinement=1.0)
     volume = volume_of(np.broadcast_to(np.linspace(0.2, 0.8, 12)[None, :, None], (9, 12, 10)))
     model = model_of(grid, shape=(9, 12, 10))
-    start_from_data(model, volume)
+    start_from_data(model, volume, never)
     field = field_of(model, volume)
     assert np.isfinite(native(field)).all()
     np.testing.assert_allclose(native(field), volume.array, atol=2e-2)
@@ -120,3 +124,13 @@ def test_a_warm_start_follows_what_changed():
     other = fit(before.volume, plain)
     kept = fit(after.volume, dataclasses.replace(short, steps=1, learning_rate=1e-6), start=other.field)
     assert kept.psnr_db > psnr_of_field(other.field, after.volume) - 0.01
+
+
+def test_a_cancelled_start_changes_nothing():
+    volume = make_phantom(PhantomConfig(shape=(24, 80, 48))).volume
+    model = model_of(shape=(24, 80, 48))
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    asked = iter([False] * 5 + [True])
+    start_from_data(model, volume, lambda: next(asked))
+    assert all(torch.equal(before[name], value) for name, value in model.state_dict().items())
+    assert next(asked, None) is None, "it is asked between B-scans, and stops at once"
