@@ -11,7 +11,6 @@ from octn_ros.simulation.interface import Interface
 from octn_ros.simulation.phantom_config import PhantomConfig
 from octn_ros.simulation.speckle import Speckle
 from octn_ros.simulation.tissue import Tissue
-from octn_ros.volume.geometry import VolumeGeometry
 from octn_ros.volume.volume import Volume
 
 _SLAB_VOXELS = 1 << 20  # voxels worked on at a time, which bounds the memory for temporaries
@@ -90,7 +89,6 @@ def make_phantom(config: PhantomConfig | None = None, crater_m: NDArray[np.float
         level /= np.float32(config.dynamic_range_db)
         noisy[indices] = np.rint(np.clip(level, 0.0, 1.0, out=level) * np.float32(255.0))
 
-    geometry = VolumeGeometry(config.shape, config.spacing_m)
-    volume = Volume(noisy, geometry, (0.0, 255.0), "log")
-    truth_volume = Volume(truth, geometry, (0.0, 1.0), "log")
+    volume = Volume(noisy, config.geometry, (0.0, 255.0), "log")
+    truth_volume = Volume(truth, config.geometry, (0.0, 1.0), "log")
     return Phantom(volume, truth_volume, tissue.surface, tissue.surface_at_rest, tissue, config)

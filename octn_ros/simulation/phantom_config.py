@@ -88,7 +88,7 @@ class PhantomConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        depth = VolumeGeometry(self.shape, self.spacing_m).extent_m[2]
+        depth = self.geometry.extent_m[2]
         top, bottom = self._depth_range(self.true_surface())
         if top < 0.0 or bottom > depth:
             raise ConfigurationError(
@@ -96,6 +96,11 @@ class PhantomConfig:
                 f"{top * 1e6:.0f} to {bottom * 1e6:.0f} um; change surface_depth_m, tilt_deg or wave_amplitude_m, "
                 "or add axial voxels"
             )
+
+    @property
+    def geometry(self) -> VolumeGeometry:
+        """Shape and place of the scan."""
+        return VolumeGeometry(self.shape, self.spacing_m)
 
     @property
     def name(self) -> str:
@@ -106,7 +111,7 @@ class PhantomConfig:
 
     def tissue_surface(self) -> TissueSurface:
         """Return the interface between air and tissue in the tissue's own frame, neither turned nor shifted."""
-        range_m = VolumeGeometry(self.shape, self.spacing_m).extent_m[2]
+        range_m = self.geometry.extent_m[2]
         if self.surface_depth_m:
             return self._surface_at(self.surface_depth_m)
         highest, _ = self._depth_range(self._surface_at(0.0))
@@ -118,7 +123,7 @@ class PhantomConfig:
         return self.tissue_surface().moved(self.rotation_deg, self.shift_m)
 
     def _surface_at(self, depth: float) -> TissueSurface:
-        width, length, _ = VolumeGeometry(self.shape, self.spacing_m).extent_m
+        width, length, _ = self.geometry.extent_m
         centre, tilt = (width / 2.0, length / 2.0), self.tilt_deg
         if self.surface == "flat":
             return TissueSurface.flat(depth, centre)
@@ -134,7 +139,7 @@ class PhantomConfig:
         return TissueSurface.wavy(depth, centre, tilt, self.wave_amplitude_m, self.wave_period_m)
 
     def _depth_range(self, surface: TissueSurface) -> tuple[float, float]:
-        width, length, _ = VolumeGeometry(self.shape, self.spacing_m).extent_m
+        width, length, _ = self.geometry.extent_m
         x, y = np.linspace(0.0, width, _CHECKED_PLACES), np.linspace(0.0, length, _CHECKED_PLACES)[:, None]
         z = surface.depth_at(x, y)
         return float(z.min()), float(z.max())

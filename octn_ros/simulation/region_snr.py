@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from octn_ros.errors import ConfigurationError
+from octn_ros.metrics import snr_from_moments_db
 from octn_ros.simulation.layers import layered_power
 from octn_ros.simulation.phantom_config import PhantomConfig
 from octn_ros.simulation.speckle import Speckle
@@ -53,6 +54,6 @@ def region_snr(config: PhantomConfig, start_m: float = 30e-6, end_m: float = 130
     power = layered_power(config, depth).astype(np.float64)
     speckle = Speckle.named(config.speckle, config.dynamic_range_db, config.grain_voxels)
     levels = config.air_level_db + 10.0 * np.log10(1.0 + power)
-    tissue = speckle.expected_display(levels, config.dynamic_range_db).mean()
+    tissue = float(speckle.expected_display(levels, config.dynamic_range_db).mean())
     variance = float(speckle.display_variance(np.array([config.air_level_db]), config.dynamic_range_db)[0])
-    return RegionSnr(10.0 * math.log10(1.0 + power.mean()), 10.0 * math.log10(tissue**2 / variance))
+    return RegionSnr(10.0 * math.log10(1.0 + power.mean()), snr_from_moments_db(tissue, variance))

@@ -15,7 +15,6 @@ from octn_ros.simulation.layers import axial_sigma_m, layered_power, tissue_over
 from octn_ros.simulation.motion import Motion, ScannedSurface
 from octn_ros.simulation.optics import Light
 from octn_ros.simulation.phantom_config import PhantomConfig
-from octn_ros.volume.geometry import VolumeGeometry
 
 # The inclusion: its centre and radii as shares of the volume along (lateral, bscan) and of the depth below the surface.
 _INCLUSION_CENTRE = (0.70, 0.36, 0.30)
@@ -43,8 +42,7 @@ class Tissue:
 
     def __init__(self, config: PhantomConfig, crater_m: NDArray[np.floating] | None = None) -> None:
         self.config = config
-        self._geometry = VolumeGeometry(config.shape, config.spacing_m)
-        width, length, _ = self._geometry.extent_m
+        width, length, _ = config.geometry.extent_m
         spoil = config.artefacts
         self.motion = Motion.drawn(
             config.shape[0],
@@ -131,7 +129,7 @@ class Tissue:
         Returns:
             Share of each voxel [bscan, axial, lateral].
         """
-        width, length, depth = self._geometry.extent_m
+        width, length, depth = self.config.geometry.extent_m
         top = self._own_surface.depth_m
         axes = []
         for place, start, extent, centre, radius in zip(
