@@ -51,6 +51,11 @@ class Network(nn.Module):
         self.hidden = nn.Sequential(*layers)
         self.output = nn.Linear(width, 1)
 
+    @property
+    def linear_layers(self) -> list[nn.Linear]:
+        """The linear layers from the first hidden one to the output."""
+        return [layer for layer in (*self.hidden, self.output) if isinstance(layer, nn.Linear)]
+
     def forward(self, features: Tensor) -> Tensor:
         """Map features [N, inputs] to intensities [N]; not clipped to [0, 1]."""
         return self.output(self.hidden(features)).squeeze(-1)

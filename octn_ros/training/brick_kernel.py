@@ -7,48 +7,72 @@ depend on how many threads run the lanes.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from octn_ros.field.compiled.layers import add_outer, gate, multiply, run_hidden, run_output
+from octn_ros.field.compiled.arrays import Encoding, Perceptron, WayBack
+from octn_ros.field.compiled.layers import add_outer, gate, multiply, run_network
 from octn_ros.field.compiled.options import BRICK, KERNEL, TILE
-from octn_ros.field.compiled.walk import (
-    MOST_VERTICES,
-    blend_layer,
-    blend_rows,
-    find_rows,
-    spread_layer,
-    spread_rows,
-    walk_axis,
-)
+from octn_ros.field.compiled.walk import blend_layer, new_walk, spread_layer, spread_rows, walk_level
 
 # Table rows are dealt to lanes in runs of this many, so that no two threads write into one cache line.
 _ROW_RUN = 16
 
 
+class Samples(NamedTuple):
+    """Samples in bricks of BRICK^3 lattice points; axes are (bscan, axial, lateral).
+
+    Attributes:
+        coordinates: canonical [bricks, 3, BRICK].
+        weights: 1 where a sample counts, 0 outside the volume, likewise; a sample's weight is the product.
+        cell: voxel at or before each sample, likewise.
+        share: how far it lies beyond that voxel, in voxels, likewise.
+    """
+
+    coordinates: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    cell: NDArray[np.int64]
+    share: NDArray[np.float32]
+
+
+class Touched(NamedTuple):
+    """The table rows that a step touches, brick by brick, and their gradients.
+
+    Attributes:
+        rows: table rows [bricks, vertices]; a brick fills as many as `counts` says.
+        gradients: of each [bricks, vertices, features].
+        counts: how many they are [bricks].
+    """
+
+    rows: NDArray[np.int64]
+    gradients: NDArray[np.float32]
+    counts: NDArray[np.int64]
+
+
 @njit(**KERNEL)
 def look_up(
+    lane: int,
+    lanes: int,
     voxels: NDArray[Any],
     low: np.float32,
     gain: np.float32,
-    cell: NDArray[np.int64],
-    share: NDArray[np.float32],
+    samples: Samples,
     targets: NDArray[np.float32],
 ) -> None:
-    """Write the intensities of bricks, interpolated trilinearly where they lie between voxels.
+    """Write the intensities of every `lanes`-th brick, interpolated trilinearly where they lie between voxels.
 
     Args:
         voxels: raw values [bscan, axial, lateral].
         low, gain: what makes them intensities; they are clipped to [0, 1].
-        cell: voxel before each sample along (bscan, axial, lateral) [bricks, 3, BRICK].
-        share: weight of the voxel after it, likewise; 0 at a voxel.
+        samples: where to look.
         targets: written: [bricks, BRICK^3].
     """
+    cell, share = samples.cell, samples.share
     last = np.array([voxels.shape[0] - 1, voxels.shape[1] - 1, voxels.shape[2] - 1])
-    for n in range(cell.shape[0]):
+    for n in range(lane, cell.shape[0], lanes):
         whole = not share[n].any()
         for z in range(BRICK):
             for y in range(BRICK):
@@ -78,128 +102,87 @@ def _intensity(raw: Any, low: np.float32, gain: np.float32) -> np.float32:
 def pass_lane(
     lane: int,
     lanes: int,
-    coordinates: NDArray[np.float32],
-    weights: NDArray[np.float32],
+    samples: Samples,
     targets: NDArray[np.float32],
-    table: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    factors: NDArray[np.int64],
-    first_row: NDArray[np.int64],
-    mask: NDArray[np.int64],
-    smooth: bool,
-    first: NDArray[np.float32],
-    first_bias: NDArray[np.float32],
-    more: NDArray[np.float32],
-    more_bias: NDArray[np.float32],
-    output: NDArray[np.float32],
-    output_bias: np.float32,
-    first_back: NDArray[np.float32],
-    more_back: NDArray[np.float32],
-    capacity: int,
-    touched_rows: NDArray[np.int64],
-    row_gradients: NDArray[np.float32],
-    touched: NDArray[np.int64],
-    first_gradient: NDArray[np.float32],
-    first_bias_gradient: NDArray[np.float32],
-    more_gradient: NDArray[np.float32],
-    more_bias_gradient: NDArray[np.float32],
-    output_gradient: NDArray[np.float32],
-    output_bias_gradient: NDArray[np.float32],
+    encoding: Encoding,
+    perceptron: Perceptron,
+    back: WayBack,
+    touched: Touched,
+    sums: Perceptron,
     squared_error: NDArray[np.float64],
 ) -> None:
     """Pass every `lanes`-th brick forward and back; gradients are of half the sum of squared errors.
 
     Args:
-        coordinates: canonical, along (bscan, axial, lateral) [bricks, 3, BRICK].
-        weights: 1 where a sample counts, 0 outside the volume, likewise; a sample's weight is the product.
-        targets: intensities [bricks, BRICK^3].
-        capacity: vertices that one brick can touch over all levels.
-        touched_rows, row_gradients, touched: written: rows and gradients of each brick's vertices, from place
-            `capacity * brick` on, and how many they are.
-        first_gradient ... squared_error: added to at index `lane`.
+        samples, targets: what is fitted; targets [bricks, BRICK^3].
+        touched: written.
+        sums: gradients of the perceptron, added to at index `lane` of their first axis.
+        squared_error: likewise.
     """
-    levels, features = scale.shape[0], table.shape[1]
-    inputs, neurons, others = first.shape[1], first.shape[0], more.shape[0]
-    numbers = np.empty((3, MOST_VERTICES), np.int64)
-    near = np.empty((levels, 3, BRICK), np.int64)
-    share = np.empty((levels, 3, BRICK), np.float32)
-    counts = np.empty((levels, 3), np.int64)
-    rows = np.empty((MOST_VERTICES, MOST_VERTICES, MOST_VERTICES), np.int64)
-    vertex = np.empty((features, MOST_VERTICES), np.float32)
-    line = np.empty((MOST_VERTICES, features, BRICK), np.float32)
-    layers = np.empty((levels, MOST_VERTICES, features, TILE), np.float32)
-    by_layers = np.empty((levels, MOST_VERTICES, features, TILE), np.float32)
+    levels, features = encoding.scale.shape[0], encoding.table.shape[1]
+    neurons, inputs = perceptron.first.shape
+    last = perceptron.more.shape[0]
+    walk = new_walk(levels, features)
+    by_layers = np.empty(walk.layers.shape, np.float32)
     encoded = np.zeros((inputs, TILE), np.float32)
     by_encoded = np.empty((inputs, TILE), np.float32)
-    activations = np.empty((others + 1, neurons, TILE), np.float32)
+    activations = np.empty((last + 1, neurons, TILE), np.float32)
     passed = np.empty((2, neurons, TILE), np.float32)
     error = np.empty(TILE, np.float32)
-    for brick in range(lane, coordinates.shape[0], lanes):
-        place = capacity * brick
+    for brick in range(lane, samples.coordinates.shape[0], lanes):
+        weights = samples.weights[brick]
+        count = 0
         for level in range(levels):
-            for axis in range(3):
-                counts[level, axis] = walk_axis(
-                    coordinates[brick, axis], scale[level, axis], smooth, numbers[axis], near[level, axis],
-                    share[level, axis],
-                )  # fmt: skip
-            find_rows(numbers, counts[level], factors[level], first_row[level], mask[level], rows)
-            blend_rows(table, rows, counts[level], near[level], share[level], vertex, line, layers[level])
-            for z in range(counts[level, 0]):
+            walk_level(level, samples.coordinates[brick], encoding, walk)
+            counts = walk.counts[level]
+            for z in range(counts[0]):
                 by_layers[level, z] = 0
-                for y in range(counts[level, 1]):
-                    for x in range(counts[level, 2]):
-                        touched_rows[place] = rows[z, y, x]
-                        place += 1
-        touched[brick] = place - capacity * brick
+                for y in range(counts[1]):
+                    for x in range(counts[2]):
+                        touched.rows[brick, count] = walk.rows[z, y, x]
+                        count += 1
+        touched.counts[brick] = count
         for k in range(BRICK):
-            if weights[brick, 0, k] == 0:
+            if weights[0, k] == 0:
                 continue
-            for level in range(levels):
-                blend_layer(layers[level], near[level], share[level], k, encoded, level * features)
-            run_hidden(first, first_bias, more, more_bias, encoded, activations)
-            run_output(output, output_bias, activations[others], error)
+            blend_layer(k, walk, encoded)
+            run_network(perceptron, encoded, activations, error)
             total, square = np.float32(0.0), np.float32(0.0)
             for y in range(BRICK):
                 for x in range(BRICK):
                     i = y * BRICK + x
-                    error[i] = (error[i] - targets[brick, k * TILE + i]) * weights[brick, 1, y] * weights[brick, 2, x]
+                    error[i] = (error[i] - targets[brick, k * TILE + i]) * weights[1, y] * weights[2, x]
                     total += error[i]
                     square += error[i] * error[i]
-            output_bias_gradient[lane] += total
+            sums.output_bias[lane] += total
             squared_error[lane] += square
             now = 0
             for j in range(neurons):
                 total = np.float32(0.0)
                 for i in range(TILE):
-                    total += error[i] * activations[others, j, i]
-                    passed[now, j, i] = error[i] * output[j]
-                output_gradient[lane, j] += total
-            gate(activations[others], passed[now])
-            for layer in range(others - 1, -1, -1):
-                add_outer(passed[now], activations[layer], more_gradient[lane, layer], more_bias_gradient[lane, layer])
-                multiply(more_back[layer], passed[now], passed[1 - now])
+                    total += error[i] * activations[last, j, i]
+                    passed[now, j, i] = error[i] * perceptron.output[j]
+                sums.output[lane, j] += total
+            gate(activations[last], passed[now])
+            for layer in range(last - 1, -1, -1):
+                add_outer(passed[now], activations[layer], sums.more[lane, layer], sums.more_bias[lane, layer])
+                multiply(back.more[layer], passed[now], passed[1 - now])
                 now = 1 - now
                 gate(activations[layer], passed[now])
-            add_outer(passed[now], encoded, first_gradient[lane], first_bias_gradient[lane])
-            multiply(first_back, passed[now], by_encoded)
-            for level in range(levels):
-                spread_layer(by_encoded, level * features, near[level], share[level], k, by_layers[level])
-        place = capacity * brick
+            add_outer(passed[now], encoded, sums.first[lane], sums.first_bias[lane])
+            multiply(back.first, passed[now], by_encoded)
+            spread_layer(k, by_encoded, walk, by_layers)
+        place = 0
         for level in range(levels):
-            spread_rows(
-                by_layers[level], counts[level], near[level], share[level], vertex, line, row_gradients, place
-            )  # fmt: skip
-            place += counts[level, 0] * counts[level, 1] * counts[level, 2]
+            spread_rows(level, walk, by_layers[level], touched.gradients[brick], place)
+            place += walk.counts[level].prod()
 
 
 @njit(**KERNEL)
 def sum_lane(
     lane: int,
     lanes: int,
-    capacity: int,
-    touched_rows: NDArray[np.int64],
-    row_gradients: NDArray[np.float32],
-    touched: NDArray[np.int64],
+    touched: Touched,
     stamp: NDArray[np.int32],
     step: int,
     gradient: NDArray[np.float32],
@@ -217,9 +200,9 @@ def sum_lane(
     """
     count = 0
     features = gradient.shape[1]
-    for brick in range(len(touched)):
-        for place in range(capacity * brick, capacity * brick + touched[brick]):
-            row = touched_rows[place]
+    for brick in range(len(touched.counts)):
+        for place in range(touched.counts[brick]):
+            row = touched.rows[brick, place]
             if (row // _ROW_RUN) % lanes != lane:
                 continue
             if stamp[row] != step:
@@ -227,10 +210,10 @@ def sum_lane(
                 distinct[count] = row
                 count += 1
                 for f in range(features):
-                    gradient[row, f] = row_gradients[place, f]
+                    gradient[row, f] = touched.gradients[brick, place, f]
             else:
                 for f in range(features):
-                    gradient[row, f] += row_gradients[place, f]
+                    gradient[row, f] += touched.gradients[brick, place, f]
     return count
 
 

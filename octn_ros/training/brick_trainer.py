@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -12,39 +11,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from octn_ros.field import NeuralModel
+from octn_ros.field.compiled.arrays import Perceptron
 from octn_ros.field.compiled.evaluator import CompiledEvaluator
-from octn_ros.field.compiled.model import encoding_of, linear_layers, perceptron_of, workers
+from octn_ros.field.compiled.model import encoding_of, perceptron_of, way_back_of, workers
 from octn_ros.field.compiled.options import BRICK
 from octn_ros.field.compiled.walk import MOST_VERTICES
-from octn_ros.training.brick_kernel import adam_rows, look_up, pass_lane, sum_lane
+from octn_ros.training.brick_kernel import Samples, Touched, adam_rows, look_up, pass_lane, sum_lane
+from octn_ros.training.sampling import interpolated_count
 from octn_ros.volume import Volume, VolumeGeometry
 
 BRICK_SAMPLES = BRICK**3
 # Independent of the number of threads, see brick_kernel.
 _LANES = 8
 _BETAS, _EPSILON = (0.9, 0.99), 1e-15
-
-
-@dataclass(frozen=True, eq=False)
-class Bricks:
-    """Samples in bricks of BRICK^3 lattice points one voxel apart; axes are (bscan, axial, lateral).
-
-    Attributes:
-        coordinates: canonical [bricks, 3, BRICK].
-        weights: 1 inside the volume, 0 outside [bricks, 3, BRICK]; a sample's weight is the product.
-        cell: voxel at or before each sample [bricks, 3, BRICK].
-        share: how far it lies beyond that voxel, in voxels [bricks, 3, BRICK].
-    """
-
-    coordinates: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    cell: NDArray[np.int64]
-    share: NDArray[np.float32]
-
-    @property
-    def samples(self) -> int:
-        """Number of samples inside the volume."""
-        return int(self.weights.sum(axis=2, dtype=np.float64).prod(axis=1).sum())
 
 
 class BrickSampler:
@@ -63,7 +42,7 @@ class BrickSampler:
         self._shape = np.array(geometry.shape)
         self._generator = np.random.default_rng(seed)
 
-    def draw(self, count: int, interpolated: int) -> Bricks:
+    def draw(self, count: int, interpolated: int) -> Samples:
         """Draw `count` bricks; the first `interpolated` of them are shifted by a random fraction of a voxel."""
         first = self._generator.integers(1 - BRICK, self._shape, (count, 3)).astype(np.float64)
         first[:interpolated] -= self._generator.random((interpolated, 3))
@@ -71,7 +50,7 @@ class BrickSampler:
         last = (self._shape - 1)[None, :, None]
         held = place.clip(0, last)
         cell = np.floor(held)
-        return Bricks(
+        return Samples(
             coordinates=(held * (2.0 / last) - 1.0).astype(np.float32),
             weights=(held == place).astype(np.float32),
             cell=cell.astype(np.int64),
@@ -101,16 +80,19 @@ class BrickTrainer:
         self._encoding = encoding_of(model)
         self._bricks = max(1, round(samples / BRICK_SAMPLES))
         table = self._encoding.table
-        self._capacity = _touched_at_most(self._encoding.scale, volume.geometry.shape)
-        places = self._capacity * self._bricks
-        self._touched_rows = np.empty(places, np.int64)
-        self._row_gradients = np.empty((places, table.shape[1]), np.float32)
-        self._touched = np.zeros(self._bricks, np.int64)
-        self._distinct = np.empty((_LANES, places), np.int64)
+        most = _touched_at_most(self._encoding.scale, volume.geometry.shape)
+        self._touched = Touched(
+            rows=np.empty((self._bricks, most), np.int64),
+            gradients=np.empty((self._bricks, most, table.shape[1]), np.float32),
+            counts=np.zeros(self._bricks, np.int64),
+        )
+        self._distinct = np.empty((_LANES, self._bricks * most), np.int64)
         self._gradient = np.empty_like(table)
         self._moments = np.zeros((len(table), 2 * table.shape[1]), np.float32)
         self._stamp = np.zeros(len(table), np.int32)
-        self._parameters = [p.detach().numpy() for layer in linear_layers(model) for p in (layer.weight, layer.bias)]
+        self._parameters = [
+            p.detach().numpy() for layer in model.network.linear_layers for p in (layer.weight, layer.bias)
+        ]
         self._parameter_moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self._parameters]
         self._step = 0
         self.samples = 0
@@ -126,8 +108,8 @@ class BrickTrainer:
         """
         if cancelled():
             return None
-        bricks = self._sampler.draw(self._bricks, math.floor(round(alpha * self._bricks, 6)))
-        samples = max(bricks.samples, 1)  # a single shifted brick can miss the volume
+        bricks = self._sampler.draw(self._bricks, interpolated_count(self._bricks, alpha))
+        samples = max(sample_count(bricks), 1)  # a single shifted brick can miss the volume
         gradients, squared_error = self._pass(bricks)
         if cancelled():
             return None
@@ -145,29 +127,22 @@ class BrickTrainer:
 
     def _compile(self) -> None:
         """Run every kernel on nothing, so that no step of the fit waits for the compiler."""
-        bricks, self._bricks = self._bricks, 0
         self._pass(self._sampler.draw(0, 0))
-        self._bricks = bricks
         self._update_table(np.float32(0.0), np.float32(0.0), (1.0, 1.0))
         self.evaluate(torch.zeros(1, 3))
 
-    def _pass(self, bricks: Bricks) -> tuple[list[NDArray[np.float32]], float]:
+    def _pass(self, bricks: Samples) -> tuple[list[NDArray[np.float32]], float]:
         perceptron = perceptron_of(self._model)
-        sums = [np.zeros((_LANES, *np.shape(p)), np.float32) for p in perceptron.kernel_arguments]
+        back = way_back_of(perceptron)
+        sums = Perceptron(*(np.zeros((_LANES, *np.shape(p)), np.float32) for p in perceptron))
         squared_error = np.zeros(_LANES)
-        targets = np.empty((self._bricks, BRICK_SAMPLES), np.float32)
-        back = perceptron.transposed
+        targets = np.empty((len(bricks.coordinates), BRICK_SAMPLES), np.float32)
 
         def lane(number: int) -> None:
-            part = slice(number, None, _LANES)
-            mine = np.empty_like(targets[part])
-            look_up(self._voxels, self._low, self._gain, bricks.cell[part].copy(), bricks.share[part].copy(), mine)
-            targets[part] = mine
+            look_up(number, _LANES, self._voxels, self._low, self._gain, bricks, targets)
             pass_lane(
-                number, _LANES, bricks.coordinates, bricks.weights, targets, *self._encoding.kernel_arguments,
-                *perceptron.kernel_arguments, *back, self._capacity, self._touched_rows, self._row_gradients,
-                self._touched, *sums, squared_error,
-            )  # fmt: skip
+                number, _LANES, bricks, targets, self._encoding, perceptron, back, self._touched, sums, squared_error
+            )
 
         list(workers().map(lane, range(_LANES)))
         first, first_bias, more, more_bias, output, output_bias = (s.sum(axis=0) for s in sums)
@@ -186,9 +161,8 @@ class BrickTrainer:
 
         def lane(number: int) -> None:
             count = sum_lane(
-                number, _LANES, self._capacity, self._touched_rows, self._row_gradients, self._touched, self._stamp,
-                self._step, self._gradient, self._distinct[number],
-            )  # fmt: skip
+                number, _LANES, self._touched, self._stamp, self._step, self._gradient, self._distinct[number]
+            )
             adam_rows(
                 self._distinct[number, :count], self._encoding.table, self._gradient, self._moments, factor, rate,
                 beta1, beta2, correction1, correction2, np.float32(_EPSILON),
@@ -205,6 +179,11 @@ class BrickTrainer:
             mean += (1.0 - _BETAS[0]) * (gradient - mean)
             square += (1.0 - _BETAS[1]) * (gradient**2 - square)
             parameter -= rate * corrections[0] * mean / (np.sqrt(corrections[1] * square) + _EPSILON)
+
+
+def sample_count(bricks: Samples) -> int:
+    """Return the number of samples inside the volume."""
+    return int(bricks.weights.sum(axis=2, dtype=np.float64).prod(axis=1).sum())
 
 
 def _touched_at_most(scale: NDArray[np.float32], shape: tuple[int, int, int]) -> int:

@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig, NeuralModel
-from octn_ros.field.compiled.model import linear_layers
 from octn_ros.field.compiled.options import BRICK
 from octn_ros.simulation import PhantomConfig, make_phantom
 from octn_ros.training import FitConfig, brick_trainer, fit
-from octn_ros.training.brick_trainer import BRICK_SAMPLES, BrickSampler, BrickTrainer
+from octn_ros.training.brick_trainer import BRICK_SAMPLES, BrickSampler, BrickTrainer, sample_count
 from octn_ros.training.sampling import ResidentVoxels
 from octn_ros.volume import Volume, VolumeGeometry
 
@@ -62,8 +61,8 @@ def test_gradients_are_those_of_automatic_differentiation(config, volume):
     network, squared_error = trainer._pass(bricks)
     table = np.zeros_like(model.grid.table.detach().numpy())
     for n in range(12):
-        part = slice(trainer._capacity * n, trainer._capacity * n + trainer._touched[n])
-        np.add.at(table, trainer._touched_rows[part], trainer._row_gradients[part])
+        rows, gradients, count = (array[n] for array in trainer._touched)
+        np.add.at(table, rows[:count], gradients[:count])
 
     points, weight = points_of(bricks)
     intensity = ResidentVoxels(volume, torch.device("cpu")).interpolate(points)
@@ -72,7 +71,7 @@ def test_gradients_are_those_of_automatic_differentiation(config, volume):
     assert squared_error == pytest.approx(float(error.detach().square().sum()), rel=1e-5)
     expected = model.grid.table.grad.numpy()
     np.testing.assert_allclose(table, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
-    parameters = [p for layer in linear_layers(model) for p in (layer.weight, layer.bias)]
+    parameters = [p for layer in model.network.linear_layers for p in (layer.weight, layer.bias)]
     for got, parameter in zip(network, parameters, strict=True):
         expected = parameter.grad.numpy()
         np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
@@ -88,7 +87,7 @@ def test_a_first_step_is_adams(volume):
     assert trainer.step(1e-3, 0.0, never) is not None
     moved = [(now.detach() - then).abs() for now, then in zip(model.parameters(), before, strict=True)]
     table = moved[0]
-    assert 0 < int((table > 0).any(dim=1).sum()) <= trainer._touched[0]
+    assert 0 < int((table > 0).any(dim=1).sum()) <= trainer._touched.counts[0]
     changed = table[table > 0]
     torch.testing.assert_close(changed, torch.full_like(changed, 1e-3), rtol=1e-2, atol=0.0)
 
@@ -98,7 +97,7 @@ def test_every_voxel_is_equally_likely():
     shape = (3, 9, 12)
     sampler = BrickSampler(VolumeGeometry(shape, (1e-5, 1e-5, 1e-5)), seed=0)
     bricks = sampler.draw(60_000, 0)
-    assert bricks.samples == int(
+    assert sample_count(bricks) == int(
         (bricks.weights[:, 0].sum(1) * bricks.weights[:, 1].sum(1) * bricks.weights[:, 2].sum(1)).sum()
     )
     for axis, size in enumerate(shape):

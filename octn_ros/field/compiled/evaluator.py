@@ -29,19 +29,18 @@ class CompiledEvaluator:
 
     def evaluate(self, points: Tensor) -> Tensor:
         """Return intensities [N] at canonical points [N, 3]."""
-        values, _ = evaluate_points(
-            self._encoding, self._perceptron, points.detach().contiguous().numpy(), gradients=False
-        )
-        return torch.from_numpy(values)
+        return self._ask(points, gradients=False)[0]
 
     def value_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return intensities [N] and their exact gradients [N, 3] at canonical points [N, 3]."""
-        values, gradients = evaluate_points(
-            self._encoding, self._perceptron, points.detach().contiguous().numpy(), gradients=True
-        )
-        return torch.from_numpy(values), torch.from_numpy(gradients)
+        return self._ask(points, gradients=True)
 
     def lattice(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> Tensor:
         """Return intensities [bscan, axial, lateral] on the lattice of three canonical coordinate vectors."""
         axes = (axis.detach().contiguous().numpy() for axis in (lateral, axial, bscan))
         return torch.from_numpy(evaluate_lattice(self._encoding, self._perceptron, *axes))
+
+    def _ask(self, points: Tensor, *, gradients: bool) -> tuple[Tensor, Tensor]:
+        array = points.detach().contiguous().numpy()
+        values, gradient = evaluate_points(self._encoding, self._perceptron, array, gradients=gradients)
+        return torch.from_numpy(values), torch.from_numpy(gradient)

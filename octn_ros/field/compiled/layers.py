@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from octn_ros.field.compiled.arrays import Perceptron
 from octn_ros.field.compiled.options import KERNEL, TILE
 
 PAD = 4
@@ -50,32 +51,24 @@ def gate(activation: NDArray[np.float32], gradient: NDArray[np.float32]) -> None
 
 
 @njit(**KERNEL)
-def run_hidden(
-    first: NDArray[np.float32],
-    first_bias: NDArray[np.float32],
-    more: NDArray[np.float32],
-    more_bias: NDArray[np.float32],
+def run_network(
+    perceptron: Perceptron,
     features: NDArray[np.float32],
     activations: NDArray[np.float32],
+    values: NDArray[np.float32],
 ) -> None:
-    """Run the hidden layers: activations [layers, neurons, TILE] from features [inputs, TILE]."""
-    multiply(first, features, activations[0])
-    activate(first_bias, activations[0])
-    for layer in range(more.shape[0]):
-        multiply(more[layer], activations[layer], activations[layer + 1])
-        activate(more_bias[layer], activations[layer + 1])
-
-
-@njit(**KERNEL)
-def run_output(
-    weight: NDArray[np.float32], bias: np.float32, activation: NDArray[np.float32], values: NDArray[np.float32]
-) -> None:
-    """Write the linear output of the last hidden layer [neurons, TILE] into values [TILE]."""
+    """Run the network: activations [layers, neurons, TILE] and values [TILE] from features [inputs, TILE]."""
+    multiply(perceptron.first, features, activations[0])
+    activate(perceptron.first_bias, activations[0])
+    last = perceptron.more.shape[0]
+    for layer in range(last):
+        multiply(perceptron.more[layer], activations[layer], activations[layer + 1])
+        activate(perceptron.more_bias[layer], activations[layer + 1])
     for k in range(TILE):
-        values[k] = bias
-    for j in range(activation.shape[0]):
+        values[k] = perceptron.output_bias
+    for j in range(len(perceptron.output)):
         for k in range(TILE):
-            values[k] += weight[j] * activation[j, k]
+            values[k] += perceptron.output[j] * activations[last, j, k]
 
 
 @njit(**KERNEL)

@@ -1,79 +1,21 @@
-"""A neural model as the arrays that the kernels take."""
+"""What the kernels take of a neural model, and the threads that run them."""
 
 from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
+from octn_ros.field.compiled.arrays import Encoding, Perceptron, WayBack
 from octn_ros.field.compiled.layers import PAD
 
 if TYPE_CHECKING:
     from octn_ros.field.neural import NeuralModel
-
-
-@dataclass(frozen=True, eq=False)
-class Encoding:
-    """A hash grid; axes are ordered (bscan, axial, lateral), as lattices are.
-
-    Attributes:
-        table: feature rows [rows, features], shared with the model.
-        scale: cells per unit length [levels, 3].
-        factors: what vertex numbers are multiplied by [levels, 3].
-        first_row: first table row of each level [levels].
-        mask: hashed rows less one, -1 where a level is dense [levels].
-        smooth: whether shares follow the smoothstep.
-    """
-
-    table: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    factors: NDArray[np.int64]
-    first_row: NDArray[np.int64]
-    mask: NDArray[np.int64]
-    smooth: bool
-
-    @property
-    def kernel_arguments(self) -> tuple[Any, ...]:
-        """What the kernels take, in their order."""
-        return self.table, self.scale, self.factors, self.first_row, self.mask, self.smooth
-
-
-@dataclass(frozen=True, eq=False)
-class Perceptron:
-    """The network's parameters, padded to whole groups of PAD rows and columns with zeros; copies of the model's.
-
-    Attributes:
-        first: weight of the first hidden layer [neurons, inputs].
-        first_bias: its bias [neurons].
-        more: weights of the other hidden layers [layers - 1, neurons, neurons].
-        more_bias: their biases [layers - 1, neurons].
-        output: weight of the output [neurons].
-        output_bias: its bias.
-    """
-
-    first: NDArray[np.float32]
-    first_bias: NDArray[np.float32]
-    more: NDArray[np.float32]
-    more_bias: NDArray[np.float32]
-    output: NDArray[np.float32]
-    output_bias: np.float32
-
-    @property
-    def kernel_arguments(self) -> tuple[Any, ...]:
-        """What the forward kernels take, in their order."""
-        return self.first, self.first_bias, self.more, self.more_bias, self.output, self.output_bias
-
-    @property
-    def transposed(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The transposes of `first` and `more`, contiguous, for the way back."""
-        return np.ascontiguousarray(self.first.T), np.ascontiguousarray(self.more.transpose(0, 2, 1))
 
 
 def encoding_of(model: NeuralModel) -> Encoding:
@@ -89,14 +31,9 @@ def encoding_of(model: NeuralModel) -> Encoding:
     )
 
 
-def linear_layers(model: NeuralModel) -> list[nn.Linear]:
-    """Return the model's linear layers from the first hidden one to the output."""
-    return [layer for layer in [*model.network.hidden, model.network.output] if isinstance(layer, nn.Linear)]
-
-
 def perceptron_of(model: NeuralModel) -> Perceptron:
     """Copy a model's network into padded arrays."""
-    *hidden, output = linear_layers(model)
+    *hidden, output = model.network.linear_layers
     weights = [_padded(layer.weight) for layer in hidden]
     biases = [_padded(layer.bias) for layer in hidden]
     neurons = len(biases[0])
@@ -108,6 +45,13 @@ def perceptron_of(model: NeuralModel) -> Perceptron:
         output=_padded(output.weight[0]),
         output_bias=np.float32(output.bias[0].item()),
     )
+
+
+def way_back_of(perceptron: Perceptron) -> WayBack:
+    """Copy what the kernels need to go back through a network."""
+    return WayBack(
+        np.ascontiguousarray(perceptron.first.T), np.ascontiguousarray(perceptron.more.transpose(0, 2, 1))
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=1)

@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from octn_ros.field.compiled.layers import gate, multiply, run_hidden, run_output
-from octn_ros.field.compiled.model import Encoding, Perceptron, workers
+from octn_ros.field.compiled.arrays import Encoding, Perceptron, WayBack
+from octn_ros.field.compiled.layers import gate, multiply, run_network
+from octn_ros.field.compiled.model import way_back_of, workers
 from octn_ros.field.compiled.options import KERNEL, TILE
-from octn_ros.field.compiled.walk import position_of
+from octn_ros.field.compiled.walk import position_of, table_row
 
 # Tiles that a thread takes at a time: enough to be worth the handing over, few enough to share the work evenly.
 _TILES = 64
@@ -30,14 +31,11 @@ def evaluate_points(
     count = len(points)
     values = np.empty(count, np.float32)
     gradient = np.empty((count if gradients else 0, 3), np.float32)
-    back = perceptron.transposed
+    back = way_back_of(perceptron)
     chunk = TILE * _TILES
 
     def part(start: int) -> None:
-        _part(
-            points, start, min(start + chunk, count), *encoding.kernel_arguments, *perceptron.kernel_arguments, *back,
-            gradients, values, gradient,
-        )  # fmt: skip
+        _part(points, start, min(start + chunk, count), encoding, perceptron, back, gradients, values, gradient)
 
     list(workers().map(part, range(0, count, chunk)))
     nowhere = np.flatnonzero(np.isnan(points).any(axis=1))
@@ -52,56 +50,41 @@ def _part(
     points: NDArray[np.float32],
     start: int,
     stop: int,
-    table: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    factors: NDArray[np.int64],
-    first_row: NDArray[np.int64],
-    mask: NDArray[np.int64],
-    smooth: bool,
-    first: NDArray[np.float32],
-    first_bias: NDArray[np.float32],
-    more: NDArray[np.float32],
-    more_bias: NDArray[np.float32],
-    output: NDArray[np.float32],
-    output_bias: np.float32,
-    first_back: NDArray[np.float32],
-    more_back: NDArray[np.float32],
+    encoding: Encoding,
+    perceptron: Perceptron,
+    back: WayBack,
     gradients: bool,
     values: NDArray[np.float32],
     gradient: NDArray[np.float32],
 ) -> None:
-    levels, features = scale.shape[0], table.shape[1]
-    inputs, neurons, hidden = first.shape[1], first.shape[0], more.shape[0] + 1
+    neurons, inputs = perceptron.first.shape
+    last = perceptron.more.shape[0]
     encoded = np.zeros((inputs, TILE), np.float32)
     # By unit coordinates along (bscan, axial, lateral).
     slopes = np.zeros((3, inputs if gradients else 0, TILE), np.float32)
-    activations = np.empty((hidden, neurons, TILE), np.float32)
+    activations = np.empty((last + 1, neurons, TILE), np.float32)
     passed = np.empty((2, neurons, TILE), np.float32)
     by_feature = np.empty((inputs, TILE), np.float32)
     answer = np.empty(TILE, np.float32)
     for tile in range(start, stop, TILE):
         size = min(TILE, stop - tile)
-        for level in range(levels):
+        for level in range(encoding.scale.shape[0]):
             for k in range(size):
-                _encode_point(
-                    points[tile + k], table, scale[level], factors[level], first_row[level], mask[level], smooth,
-                    level * features, k, encoded, slopes,
-                )  # fmt: skip
-        run_hidden(first, first_bias, more, more_bias, encoded, activations)
-        run_output(output, output_bias, activations[hidden - 1], answer)
+                _encode_point(points[tile + k], level, encoding, k, encoded, slopes)
+        run_network(perceptron, encoded, activations, answer)
         values[tile : tile + size] = answer[:size]
         if not gradients:
             continue
         for j in range(neurons):
             for k in range(TILE):
-                passed[0, j, k] = output[j]
-        gate(activations[hidden - 1], passed[0])
+                passed[0, j, k] = perceptron.output[j]
+        gate(activations[last], passed[0])
         now = 0
-        for layer in range(hidden - 2, -1, -1):
-            multiply(more_back[layer], passed[now], passed[1 - now])
+        for layer in range(last - 1, -1, -1):
+            multiply(back.more[layer], passed[now], passed[1 - now])
             gate(activations[layer], passed[1 - now])
             now = 1 - now
-        multiply(first_back, passed[now], by_feature)
+        multiply(back.first, passed[now], by_feature)
         for axis in range(3):
             for k in range(TILE):
                 answer[k] = 0
@@ -117,22 +100,20 @@ def _part(
 @njit(**KERNEL)
 def _encode_point(
     point: NDArray[np.float32],
-    table: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    factors: NDArray[np.int64],
-    first_row: int,
-    mask: int,
-    smooth: bool,
-    offset: int,
+    level: int,
+    encoding: Encoding,
     k: int,
     encoded: NDArray[np.float32],
     slopes: NDArray[np.float32],
 ) -> None:
     """Write column `k` of the features, and of their slopes unless these are empty, for one level of one point."""
-    cell_z, share_z, slope_z = _cell(point[2], scale[0], smooth)
-    cell_y, share_y, slope_y = _cell(point[1], scale[1], smooth)
-    cell_x, share_x, slope_x = _cell(point[0], scale[2], smooth)
-    features = table.shape[1]
+    scale, factors = encoding.scale[level], encoding.factors[level]
+    first_row, mask = encoding.first_row[level], encoding.mask[level]
+    cell_z, share_z, slope_z = _cell(point[2], scale[0], encoding.smooth)
+    cell_y, share_y, slope_y = _cell(point[1], scale[1], encoding.smooth)
+    cell_x, share_x, slope_x = _cell(point[0], scale[2], encoding.smooth)
+    features = encoding.table.shape[1]
+    offset = level * features
     wanted = slopes.shape[1] > 0
     for f in range(features):
         encoded[offset + f, k] = 0
@@ -148,9 +129,9 @@ def _encode_point(
             for dx in range(2):
                 c = (cell_x + dx) * factors[2]
                 weight_x, change_x = (share_x, slope_x) if dx == 1 else (np.float32(1.0) - share_x, -slope_x)
-                row = first_row + (a + b + c if mask < 0 else (a ^ b ^ c) & mask)
+                row = table_row(a, b, c, first_row, mask)
                 for f in range(features):
-                    feature = table[row, f]
+                    feature = encoding.table[row, f]
                     encoded[offset + f, k] += weight_z * weight_y * weight_x * feature
                     if wanted:
                         slopes[0, offset + f, k] += change_z * weight_y * weight_x * feature

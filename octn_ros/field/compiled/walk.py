@@ -7,11 +7,13 @@ the gradient of each vertex over the brick before it touches any table.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from octn_ros.field.compiled.arrays import Encoding
 from octn_ros.field.compiled.options import BRICK, KERNEL
 
 # Vertices that the points of a brick can need along one axis: two each, if none is shared.
@@ -25,6 +27,12 @@ def position_of(coordinate: np.float32, scale: np.float32) -> np.float32:
     if coordinate > held:
         held = min(coordinate, np.float32(1.0))
     return (held + np.float32(1.0)) * np.float32(0.5) * scale + np.float32(0.5)
+
+
+@njit(**KERNEL)
+def table_row(first: int, second: int, third: int, first_row: int, mask: int) -> int:
+    """Return the table row of a vertex from its factored numbers along the three axes; mask -1 for a dense level."""
+    return first_row + (first + second + third if mask < 0 else (first ^ second ^ third) & mask)
 
 
 @njit(**KERNEL)
@@ -71,45 +79,85 @@ def walk_axis(
     return count
 
 
+class Walk(NamedTuple):
+    """Where a brick's points lie between vertices, and its vertices blended so far.
+
+    Attributes:
+        counts: vertices of each level along (bscan, axial, lateral) [levels, 3].
+        near: index of the vertex before each point, likewise [levels, 3, BRICK].
+        share: weight of the vertex after it [levels, 3, BRICK].
+        layers: vertices blended along the lateral and axial axes [levels, bscan vertex, features, TILE], a tile's
+            place being axial * BRICK + lateral.
+        numbers: of the vertices of the level walked last [3, MOST_VERTICES].
+        rows: their table rows [bscan, axial, lateral].
+        vertex, line: scratch [features, MOST_VERTICES] and [MOST_VERTICES, features, BRICK].
+    """
+
+    counts: NDArray[np.int64]
+    near: NDArray[np.int64]
+    share: NDArray[np.float32]
+    layers: NDArray[np.float32]
+    numbers: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    vertex: NDArray[np.float32]
+    line: NDArray[np.float32]
+
+
 @njit(**KERNEL)
-def find_rows(
-    numbers: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    factors: NDArray[np.int64],
-    first_row: int,
-    mask: int,
-    rows: NDArray[np.int64],
-) -> None:
-    """Write the table rows [bscan, axial, lateral] of the vertices of a brick; `mask` is -1 for a dense level."""
+def new_walk(levels: int, features: int) -> Walk:
+    """Return a walk through no brick yet."""
+    return Walk(
+        np.empty((levels, 3), np.int64),
+        np.empty((levels, 3, BRICK), np.int64),
+        np.empty((levels, 3, BRICK), np.float32),
+        np.empty((levels, MOST_VERTICES, features, BRICK * BRICK), np.float32),
+        np.empty((3, MOST_VERTICES), np.int64),
+        np.empty((MOST_VERTICES, MOST_VERTICES, MOST_VERTICES), np.int64),
+        np.empty((features, MOST_VERTICES), np.float32),
+        np.empty((MOST_VERTICES, features, BRICK), np.float32),
+    )
+
+
+@njit(**KERNEL)
+def walk_level(level: int, coordinates: NDArray[np.float32], encoding: Encoding, walk: Walk) -> None:
+    """Walk one level of the brick at canonical coordinates [3, BRICK] along (bscan, axial, lateral)."""
+    for axis in range(3):
+        walk.counts[level, axis] = walk_axis(
+            coordinates[axis],
+            encoding.scale[level, axis],
+            encoding.smooth,
+            walk.numbers[axis],
+            walk.near[level, axis],
+            walk.share[level, axis],
+        )
+    _find_rows(level, encoding, walk)
+    _blend_rows(level, encoding.table, walk)
+
+
+@njit(**KERNEL)
+def _find_rows(level: int, encoding: Encoding, walk: Walk) -> None:
+    """Write the table rows of a brick's vertices."""
+    numbers, counts, factors = walk.numbers, walk.counts[level], encoding.factors[level]
+    first_row, mask = encoding.first_row[level], encoding.mask[level]
     for z in range(counts[0]):
         a = numbers[0, z] * factors[0]
         for y in range(counts[1]):
             b = numbers[1, y] * factors[1]
             for x in range(counts[2]):
                 c = numbers[2, x] * factors[2]
-                rows[z, y, x] = first_row + (a + b + c if mask < 0 else (a ^ b ^ c) & mask)
+                walk.rows[z, y, x] = table_row(a, b, c, first_row, mask)
 
 
 @njit(**KERNEL)
-def blend_rows(
-    table: NDArray[np.float32],
-    rows: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    near: NDArray[np.int64],
-    share: NDArray[np.float32],
-    vertex: NDArray[np.float32],
-    line: NDArray[np.float32],
-    layers: NDArray[np.float32],
-) -> None:
-    """Blend vertices along the lateral and axial axes: layers [bscan vertex, feature, axial * BRICK + lateral].
-
-    `vertex` [feature, MOST_VERTICES] and `line` [MOST_VERTICES, feature, BRICK] are scratch.
-    """
+def _blend_rows(level: int, table: NDArray[np.float32], walk: Walk) -> None:
+    """Blend vertices along the lateral and axial axes."""
+    counts, near, share = walk.counts[level], walk.near[level], walk.share[level]
+    vertex, line, layers = walk.vertex, walk.line, walk.layers[level]
     features = table.shape[1]
     for z in range(counts[0]):
         for y in range(counts[1]):
             for x in range(counts[2]):
-                row = rows[z, y, x]
+                row = walk.rows[z, y, x]
                 for f in range(features):
                     vertex[f, x] = table[row, f]
             for f in range(features):
@@ -127,54 +175,43 @@ def blend_rows(
 
 
 @njit(**KERNEL)
-def blend_layer(
-    layers: NDArray[np.float32],
-    near: NDArray[np.int64],
-    share: NDArray[np.float32],
-    k: int,
-    features: NDArray[np.float32],
-    offset: int,
-) -> None:
-    """Blend along the bscan axis: rows `offset` and on of `features` [width, TILE] for layer `k` of the brick."""
-    i = near[0, k]
-    weight = share[0, k]
-    for f in range(layers.shape[1]):
-        for x in range(BRICK * BRICK):
-            before = layers[i, f, x]
-            features[offset + f, x] = before + (layers[i + 1, f, x] - before) * weight
+def blend_layer(k: int, walk: Walk, encoded: NDArray[np.float32]) -> None:
+    """Blend along the bscan axis: the features [inputs, TILE] of layer `k` of the brick, all levels."""
+    features = walk.layers.shape[2]
+    for level in range(walk.layers.shape[0]):
+        layers = walk.layers[level]
+        i = walk.near[level, 0, k]
+        weight = walk.share[level, 0, k]
+        for f in range(features):
+            for x in range(BRICK * BRICK):
+                before = layers[i, f, x]
+                encoded[level * features + f, x] = before + (layers[i + 1, f, x] - before) * weight
 
 
 @njit(**KERNEL)
-def spread_layer(
-    gradient: NDArray[np.float32],
-    offset: int,
-    near: NDArray[np.int64],
-    share: NDArray[np.float32],
-    k: int,
-    layers: NDArray[np.float32],
-) -> None:
-    """Add the gradient of one layer's features to that of `layers`: the adjoint of `blend_layer`."""
-    i = near[0, k]
-    weight = share[0, k]
-    for f in range(layers.shape[1]):
-        for x in range(BRICK * BRICK):
-            after = gradient[offset + f, x] * weight
-            layers[i + 1, f, x] += after
-            layers[i, f, x] += gradient[offset + f, x] - after
+def spread_layer(k: int, gradient: NDArray[np.float32], walk: Walk, by_layers: NDArray[np.float32]) -> None:
+    """Add the gradient of one layer's features to that of the walk's layers: the adjoint of `blend_layer`."""
+    features = walk.layers.shape[2]
+    for level in range(walk.layers.shape[0]):
+        layers = by_layers[level]
+        i = walk.near[level, 0, k]
+        weight = walk.share[level, 0, k]
+        for f in range(features):
+            for x in range(BRICK * BRICK):
+                after = gradient[level * features + f, x] * weight
+                layers[i + 1, f, x] += after
+                layers[i, f, x] += gradient[level * features + f, x] - after
 
 
 @njit(**KERNEL)
 def spread_rows(
-    layers: NDArray[np.float32],
-    counts: NDArray[np.int64],
-    near: NDArray[np.int64],
-    share: NDArray[np.float32],
-    vertex: NDArray[np.float32],
-    line: NDArray[np.float32],
-    gradient: NDArray[np.float32],
-    start: int,
+    level: int, walk: Walk, by_layers: NDArray[np.float32], gradient: NDArray[np.float32], start: int
 ) -> None:
-    """Write the gradient of each vertex of a brick into `gradient` [start + vertex, feature]: `blend_rows`' adjoint."""
+    """Write the gradient of each vertex of a level into `gradient` [start + vertex, feature], from that of its layers
+    [bscan vertex, feature, TILE]: the adjoint of what `walk_level` blends.
+    """
+    counts, near, share = walk.counts[level], walk.near[level], walk.share[level]
+    vertex, line, layers = walk.vertex, walk.line, by_layers
     features = layers.shape[1]
     for z in range(counts[0]):
         for y in range(counts[1]):
