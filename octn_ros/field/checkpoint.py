@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import secrets
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from octn_ros.field.field import Field
 from octn_ros.field.interpolated import InterpolatedField
 from octn_ros.field.neural import NeuralField, NeuralModel
 from octn_ros.volume import Volume
+from octn_ros.volume.atomic import replacing
 
 FORMAT = "octn-field/safetensors"
 
@@ -68,17 +68,9 @@ def save_field(path: str | Path, field: Field) -> None:
     """
     path = Path(path)
     data = dumps_field(field)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        try:
-            with temporary.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
+        with replacing(path) as temporary:
+            temporary.write_bytes(data)
     except OSError as error:
         raise CheckpointError(f"{path}: cannot write the field: {error}") from error
 

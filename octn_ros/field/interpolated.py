@@ -89,7 +89,7 @@ class InterpolatedField(DifferentiableField):
     def _value(self, index: Tensor) -> Tensor:
         if self.description.order == "cubic":
             return self._spline.value(index)
-        return interpolate_voxels(self._spline.coefficients, index)
+        return _trilinear(self._spline.coefficients, index)
 
     def _axial(self, index: Tensor) -> tuple[Tensor, Tensor]:
         if self.description.order == "cubic":
@@ -131,7 +131,7 @@ def _gradient(by_index: Tensor) -> Tensor:
     return torch.stack((by_index[0, 0, 1], by_index[0, 1, 0], by_index[1, 0, 0]), dim=-1)
 
 
-def interpolate_voxels(voxels: Tensor, index: Tensor) -> Tensor:
+def _trilinear(voxels: Tensor, index: Tensor) -> Tensor:
     """Interpolate voxels [bscan, axial, lateral] trilinearly at fractional indices [N, 3] inside the array.
 
     Differentiable in both; any device.

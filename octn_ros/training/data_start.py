@@ -9,15 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import sparse
-from torch import Tensor, nn
+from torch import Tensor
 
 from octn_ros.field import Field, NeuralModel
 from octn_ros.field.grid_level import GridLevel
 from octn_ros.volume import Volume, VolumeGeometry
-
-
-class _CancelledError(Exception):
-    """Leaves the loop over the B-scans."""
 
 
 def start_from_data(model: NeuralModel, volume: Volume, cancelled: Callable[[], bool]) -> None:
@@ -37,26 +33,19 @@ def start_from_data(model: NeuralModel, volume: Volume, cancelled: Callable[[], 
     number = _carrying_level(model)
     if number is None:
         return
-
-    def plane(index: tuple[int]) -> NDArray[np.float32]:
-        if cancelled():
-            raise _CancelledError
-        return volume.normalized(index)
-
-    try:
-        average = block_average(plane, model.grid.grid_levels[number], volume.geometry)
-    except _CancelledError:
+    average = block_average(volume.normalized, model.grid.grid_levels[number], volume.geometry, cancelled)
+    if average is None:
         return
-    hidden = [layer for layer in model.network.hidden if isinstance(layer, nn.Linear)]
+    *hidden, output = model.network.linear_layers
     with torch.no_grad():
         _carrier(model, number).copy_(torch.from_numpy(average).flatten())
         for place, layer in enumerate(hidden):
             layer.weight[0] = 0.0
             layer.weight[0, number * model.grid.config.features if place == 0 else 0] = 1.0
             layer.bias[0] = 0.0
-        model.network.output.weight.zero_()
-        model.network.output.weight[0, 0] = 1.0
-        model.network.output.bias.zero_()
+        output.weight.zero_()
+        output.weight[0, 0] = 1.0
+        output.bias.zero_()
 
 
 def follow_data(
@@ -85,18 +74,15 @@ def follow_data(
     bscan, axial, lateral = (torch.linspace(-1.0, 1.0, n, device=field.device) for n in volume.geometry.shape)
 
     def difference(index: tuple[int]) -> NDArray[np.float32]:
-        if cancelled():
-            raise _CancelledError
         rendered = field.lattice(lateral, axial, bscan[index[0] : index[0] + 1])[0]
         return volume.normalized(index) - rendered.cpu().numpy()
 
-    try:
-        change = torch.from_numpy(block_average(difference, model.grid.grid_levels[number], volume.geometry)).flatten()
-    except _CancelledError:
+    change = block_average(difference, model.grid.grid_levels[number], volume.geometry, cancelled)
+    if change is None:
         return
     states = [(error(model), _copied(model))]
     with torch.no_grad():
-        _carrier(model, number).add_(change.to(model.grid.table.device))
+        _carrier(model, number).add_(torch.from_numpy(change).flatten().to(model.grid.table.device))
     states.append((error(model), _copied(model)))
     start_from_data(model, volume, cancelled)
     states.append((error(model), _copied(model)))
@@ -119,8 +105,11 @@ def _carrier(model: NeuralModel, number: int) -> Tensor:
 
 
 def block_average(
-    plane: Callable[[tuple[int]], NDArray[np.float32]], level: GridLevel, geometry: VolumeGeometry
-) -> NDArray[np.float32]:
+    plane: Callable[[tuple[int]], NDArray[np.float32]],
+    level: GridLevel,
+    geometry: VolumeGeometry,
+    cancelled: Callable[[], bool],
+) -> NDArray[np.float32] | None:
     """Return the mean around each vertex of a grid level, [bscan, axial, lateral], of values at a volume's voxels.
 
     A voxel counts for the vertices of its cell as interpolation weights them, which is separable by axis. A vertex
@@ -130,6 +119,7 @@ def block_average(
         plane: gives the values [axial, lateral] of the B-scan whose index it gets.
         level: the level.
         geometry: of the volume.
+        cancelled: asked before every B-scan; True ends it with None.
     """
     bscans, axials, laterals = geometry.shape
     (lateral_scale, axial_scale, bscan_scale), (columns, rows, layers) = level.scale, level.vertices
@@ -141,6 +131,8 @@ def block_average(
     )  # fmt: skip
     planes = np.empty((bscans, rows * columns), np.float32)
     for bscan in range(bscans):
+        if cancelled():
+            return None
         across = (to_columns @ plane((bscan,)).T).T
         planes[bscan] = (to_rows @ across).ravel()
     return np.asarray(to_layers @ planes, np.float32).reshape(layers, rows, columns)

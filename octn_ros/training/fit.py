@@ -189,9 +189,10 @@ def _train(
             ended = reached()
         last = ended is not None or step == config.steps
         tell(tally.report(step, trainer.samples, stage, psnr_from_error_db(error), last=last))
-    if ended in ("steps", "time", "target", "noise level"):
+    if ended == "time":  # at every other good end the last step was evaluated
         error = held_in.mean_squared_error(trainer.evaluate)
-        ended = ended if math.isfinite(error) else "diverged"
+    if ended in ("steps", "time", "target", "noise level") and not math.isfinite(error):
+        ended = "diverged"
     seconds = schedule.seconds
     if ended != "diverged":
         tell(tally.report(step, trainer.samples, stage, psnr_from_error_db(error), last=True))

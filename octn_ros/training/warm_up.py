@@ -22,8 +22,9 @@ def warm_up(config: FitConfig, device: str | torch.device = "cpu") -> None:
     """Compile, or load from the cache, the kernels that fits use, and those of `warm_up_queries`.
 
     Takes some 10 s on a machine's first run, about one later; where plain torch does the work there is nothing to do.
-    Fits a few steps to volumes of 16 x 16 x 16 voxels of each type, beside `fit` itself: neither the global random
-    generator nor anything else that a fit in another thread uses is touched, but the compiler, for which it waits.
+    Makes trainers, which compile what they need, for volumes of 16 x 16 x 16 voxels of each type: neither the global
+    random generator nor anything else that a fit in another thread uses is touched, but the compiler, for which it
+    waits.
     Never raises: what goes wrong here is logged at debug level, and goes wrong again, in words, where it matters.
     """
     try:
@@ -34,8 +35,7 @@ def warm_up(config: FitConfig, device: str | torch.device = "cpu") -> None:
         from octn_ros.training.brick_trainer import BRICK_SAMPLES, BrickTrainer
 
         for voxel_type in _VOXEL_TYPES:
-            trainer = BrickTrainer(field.model, _made_volume(voxel_type), BRICK_SAMPLES, config.seed)
-            trainer.step(0.0, config.alpha, lambda: False)
+            BrickTrainer(field.model, _made_volume(voxel_type), BRICK_SAMPLES, config.seed)
         _ask(field)
     except Exception:
         logging.getLogger(__name__).debug("the kernels of fits could not be compiled ahead", exc_info=True)

@@ -56,7 +56,7 @@ def test_each_vertex_holds_the_mean_that_interpolation_weights():
     """Against the definition, vertex by vertex: sum of weight times voxel over sum of weights."""
     volume = volume_of(np.random.default_rng(0).random((9, 12, 10)))
     level = model_of(shape=(9, 12, 10)).grid.grid_levels[-1]
-    average = block_average(volume.normalized, level, volume.geometry)
+    average = block_average(volume.normalized, level, volume.geometry, never)
     weights = []
     for count, scale, vertices in zip((10, 12, 9), level.scale, level.vertices, strict=True):
         position = np.linspace(0, 1, count) * scale + 0.5
