@@ -10,6 +10,11 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout, for machines")
 
 
+def add_device(parser: argparse.ArgumentParser) -> None:
+    """Add `--device`."""
+    parser.add_argument("--device", default="auto", help="auto (a GPU if there is one), cpu, cuda, cuda:1, ...")
+
+
 def add_spacing(parser: argparse.ArgumentParser) -> None:
     """Add `--spacing-um BSCAN AXIAL LATERAL`."""
     parser.add_argument(

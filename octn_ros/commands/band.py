@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 from octn_ros.commands.regions import add_regions, region_of
-from octn_ros.commands.sources import Order, add_source, open_field
+from octn_ros.commands.sources import FieldSource, add_source, source_of
 
 if TYPE_CHECKING:
     from octn_ros.query import Region
@@ -24,7 +24,7 @@ class BandCommand:
     """Find the points of one intensity band.
 
     Attributes:
-        field: a field or C-scan file.
+        source: a field or C-scan file, and how to open it.
         low, high: the band; both ends belong to it.
         output: the .ply, .csv or .npz file of the points.
         region: only points inside it, None for the whole scan.
@@ -32,11 +32,10 @@ class BandCommand:
         step_um: distance of the points that are looked at, None for the scan's own voxels.
         max_points: largest number of points, None for the default.
         picture: a .png file to draw them into, or None.
-        spacing_um, order, device: see `open_field`.
         json: print JSON instead of a table.
     """
 
-    field: Path
+    source: FieldSource
     low: float
     high: float
     output: Path
@@ -45,9 +44,6 @@ class BandCommand:
     step_um: float | None = None
     max_points: int | None = None
     picture: Path | None = None
-    spacing_um: tuple[float, float, float] | None = None
-    order: Order | None = None
-    device: str = "auto"
     json: bool = False
 
     def run(self) -> int:
@@ -66,7 +62,7 @@ class BandCommand:
         if self.step_um is not None:
             given["step_m"] = self.step_um * 1e-6
         query = BandQuery(self.low, self.high, self.half_open, **given)
-        field = open_field(self.field, self.spacing_um, self.order, self.device)
+        field = self.source.open()
         began = time.perf_counter()
         with terminal.ProgressBar() as bar:
             found = find_band(field, query, self.region, progress=lambda share: bar.show("searching", share))
@@ -91,7 +87,7 @@ class BandCommand:
         if self.json:
             terminal.print_json(values)
         else:
-            terminal.print_table(f"{self.field.name}: {query.low:g} to {query.high:g}", _rows(values))
+            terminal.print_table(f"{self.source.file.name}: {query.low:g} to {query.high:g}", _rows(values))
         return 0
 
 
@@ -117,7 +113,7 @@ def add_parser(commands: Any) -> None:
 
 def _read(arguments: argparse.Namespace) -> BandCommand:
     return BandCommand(
-        field=arguments.field,
+        source=source_of(arguments),
         low=arguments.low,
         high=arguments.high,
         output=arguments.output,
@@ -126,9 +122,6 @@ def _read(arguments: argparse.Namespace) -> BandCommand:
         step_um=arguments.step_um,
         max_points=arguments.max_points,
         picture=arguments.picture,
-        spacing_um=common.spacing(arguments),
-        order=arguments.order,
-        device=arguments.device,
         json=arguments.json,
     )
 

@@ -79,7 +79,7 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser("bench", help="measure a table of the paper", description=__doc__)
     parser.add_argument("name", choices=BENCHMARK_NAMES, metavar="NAME", help=f"one of {', '.join(BENCHMARK_NAMES)}")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of C-scans to measure on as well")
-    parser.add_argument("--device", default="auto", help="auto (a GPU if there is one), cpu, cuda, cuda:1, ...")
+    common.add_device(parser)
     parser.add_argument("--quick", action="store_true", help="a reduced run that ends within a minute on two cores")
     parser.add_argument("--output", type=Path, metavar="DIR", help="write NAME.json, NAME.md and pictures there")
     common.add_json(parser)

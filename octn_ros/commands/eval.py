@@ -55,8 +55,8 @@ class EvalCommand:
         from octn_ros.metrics import load_regions
 
         regions = load_regions(self.regions) if self.regions is not None else None
-        is_scan = self.field.suffix != sources.FIELD_SUFFIX
-        field = sources.open_field(self.field, self.spacing_um if is_scan else None, device=self.device)
+        own_um = self.spacing_um if sources.is_scan(self.field) else None
+        field = sources.FieldSource(self.field, own_um, device=self.device).open()
         # The field states its spacing, and a field is compared with its own scan: files without one need no argument.
         spacing_um = self.spacing_um or _micrometres(field.geometry.spacing_m)
         volume = self._load(self.volume, spacing_um)
@@ -117,9 +117,7 @@ def plain_fidelity(fidelity: Fidelity) -> dict[str, Any]:
 def add_parser(commands: Any) -> None:
     """Add the command to the parser's subcommands."""
     parser = commands.add_parser("eval", help="compare a field with its C-scan", description=__doc__)
-    parser.add_argument(
-        "field", type=Path, metavar="FIELD", help="a field, as `octn fit` wrote it, or a C-scan file to interpolate"
-    )
+    sources.add_field(parser)
     parser.add_argument("volume", type=Path, metavar="VOLUME", help="the measured C-scan, placed where the field lies")
     parser.add_argument("--truth", type=Path, metavar="VOLUME", help="a noise-free C-scan to compare with as well")
     parser.add_argument(
@@ -130,7 +128,7 @@ def add_parser(commands: Any) -> None:
         "middle B-scan; default: one of each, found from the surface",
     )
     common.add_spacing(parser)
-    parser.add_argument("--device", default="auto", help="auto (a GPU if there is one), cpu, cuda, cuda:1, ...")
+    common.add_device(parser)
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the middle B-scan as .png")
     common.add_json(parser)
     parser.set_defaults(read=_read)

@@ -169,7 +169,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--picture", type=Path, metavar="PNG", help="draw a B-scan, measured and fitted, and the PSNR curve"
     )
-    parser.add_argument("--device", default="auto", help="auto (a GPU if there is one), cpu, cuda, cuda:1, ...")
+    common.add_device(parser)
     common.add_json(parser)
     parser.set_defaults(read=_read)
 

@@ -16,7 +16,7 @@ from octn_ros.commands import terminal
 from octn_ros.commands.plan_files import read_polygon, read_pose, read_settings
 from octn_ros.commands.plan_options import Places, add_region, add_settings, region_places, setting_changes
 from octn_ros.commands.plan_table import plan_figures, plan_rows
-from octn_ros.commands.sources import FIELD_SUFFIX, Order, add_source, open_field
+from octn_ros.commands.sources import FieldSource, add_source, is_scan, source_of
 from octn_ros.settings import with_setting
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class PlanCommand:
     """Plan a raster over the surface of one field.
 
     Attributes:
-        field: the field file, or a C-scan file to interpolate.
+        source: the field file, or a C-scan file to interpolate, and how to open it.
         calibration: the YAML file with `oct2ee` and `laser2ee`.
         output: the .json or .csv file to write.
         region: "corners", "centre", "polygon" or, for the largest centred rectangle up to 3 x 3 mm, "".
@@ -45,13 +45,10 @@ class PlanCommand:
         keep_out: YAML file of keep-out regions.
         scan_pose: YAML file of the end effector's pose at the scan.
         picture: PNG file to draw the plan into.
-        spacing_um: of a C-scan, if its file does not state it.
-        order: how a C-scan is interpolated.
-        device: auto, cpu, cuda, ...
         json: print JSON instead of a table.
     """
 
-    field: Path
+    source: FieldSource
     calibration: Path
     output: Path
     region: str = ""
@@ -63,9 +60,6 @@ class PlanCommand:
     keep_out: Path | None = None
     scan_pose: Path | None = None
     picture: Path | None = None
-    spacing_um: tuple[float, float, float] | None = None
-    order: Order | None = None
-    device: str = "auto"
     json: bool = False
 
     def run(self) -> int:
@@ -92,7 +86,7 @@ class PlanCommand:
         if self.json:
             terminal.print_json(values)
         else:
-            terminal.print_table(f"{self.field.name}: planned", plan_rows(values))
+            terminal.print_table(f"{self.source.file.name}: planned", plan_rows(values))
         return 0
 
     def _plan(self) -> tuple[Field, Plan]:
@@ -103,14 +97,13 @@ class PlanCommand:
         keep_out = load_keep_out(self.keep_out, calibration) if self.keep_out else ()
         scan_ee2base = read_pose(self.scan_pose) if self.scan_pose else None
         config = self._config()
-        field = open_field(self.field, self.spacing_um, self.order, self.device)
-        is_field = self.field.suffix == FIELD_SUFFIX
+        field = self.source.open()
         plan = plan_region(
             field,
             calibration,
             self._region(field),
             config,
-            field_hash=field_hash(self.field.read_bytes()) if is_field else "",
+            field_hash="" if is_scan(self.source.file) else field_hash(self.source.file.read_bytes()),
             keep_out=keep_out,
             scan_ee2base=scan_ee2base,
         )
@@ -195,7 +188,7 @@ def add_parser(commands: Any) -> None:
 def _read(arguments: argparse.Namespace) -> PlanCommand:
     region, places = region_places(arguments)
     return PlanCommand(
-        field=arguments.field,
+        source=source_of(arguments),
         calibration=arguments.calibration,
         output=arguments.output,
         region=region,
@@ -207,8 +200,5 @@ def _read(arguments: argparse.Namespace) -> PlanCommand:
         keep_out=arguments.keep_out,
         scan_pose=arguments.scan_pose,
         picture=arguments.picture,
-        spacing_um=common.spacing(arguments),
-        order=arguments.order,
-        device=arguments.device,
         json=arguments.json,
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
-from octn_ros.commands.sources import Order, add_source, open_field
+from octn_ros.commands.sources import FieldSource, add_source, source_of
 
 if TYPE_CHECKING:
     from octn_ros.query import SliceImage
@@ -28,19 +28,15 @@ class SliceCommand:
     """Take one picture of a field.
 
     Attributes:
-        field: a field or C-scan file.
+        source: a field or C-scan file, and how to open it.
         slice: what to look at, see SLICES.
         output: .png for a picture with axes; .npy, .tif for the float32 values alone.
-        spacing_um, order, device: see `open_field`.
         json: print JSON instead of a table.
     """
 
-    field: Path
+    source: FieldSource
     slice: str
     output: Path
-    spacing_um: tuple[float, float, float] | None = None
-    order: Order | None = None
-    device: str = "auto"
     json: bool = False
 
     def run(self) -> int:
@@ -55,7 +51,7 @@ class SliceCommand:
         from octn_ros.query import SliceSpec
 
         wanted = SliceSpec.parse(self.slice)
-        field = open_field(self.field, self.spacing_um, self.order, self.device)
+        field = self.source.open()
         with terminal.ProgressBar() as bar:
             image = wanted.evaluate(field, progress=lambda share: bar.show(self.slice, share))
         write_slice(self.output, image)
@@ -63,7 +59,7 @@ class SliceCommand:
         if self.json:
             terminal.print_json(values)
         else:
-            terminal.print_table(f"{self.field.name}: {image.specification}", _rows(values))
+            terminal.print_table(f"{self.source.file.name}: {image.specification}", _rows(values))
         return 0
 
 
@@ -104,12 +100,9 @@ def add_parser(commands: Any) -> None:
 
 def _read(arguments: argparse.Namespace) -> SliceCommand:
     return SliceCommand(
-        field=arguments.field,
+        source=source_of(arguments),
         slice=arguments.slice,
         output=arguments.output,
-        spacing_um=common.spacing(arguments),
-        order=arguments.order,
-        device=arguments.device,
         json=arguments.json,
     )
 

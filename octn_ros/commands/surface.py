@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 from octn_ros.commands.regions import add_regions, region_of
-from octn_ros.commands.sources import Order, add_source, open_field
+from octn_ros.commands.sources import FieldSource, add_source, source_of
 
 if TYPE_CHECKING:
     from octn_ros.field import Field
@@ -28,7 +28,7 @@ class SurfaceCommand:
     """Find the surface of a field.
 
     Attributes:
-        field: a field or C-scan file.
+        source: a field or C-scan file, and how to open it.
         output: the file of the map's points (.ply, .csv, .npz) or of the mesh (.ply, .stl, .npz).
         tau: intensity of the surface; None to estimate it from the map.
         mesh: find the mesh f = tau instead of the map.
@@ -38,11 +38,10 @@ class SurfaceCommand:
         ascans: largest number of A-scans of the map, None for the default.
         distance: an .npz file for the signed distance to the mesh, or None.
         picture: a .png file for depth and confidence of the map, or None.
-        spacing_um, order, device: see `open_field`.
         json: print JSON instead of a table.
     """
 
-    field: Path
+    source: FieldSource
     output: Path
     tau: float | None = None
     mesh: bool = False
@@ -52,9 +51,6 @@ class SurfaceCommand:
     ascans: int | None = None
     distance: Path | None = None
     picture: Path | None = None
-    spacing_um: tuple[float, float, float] | None = None
-    order: Order | None = None
-    device: str = "auto"
     json: bool = False
 
     def run(self) -> int:
@@ -71,7 +67,7 @@ class SurfaceCommand:
             raise terminal.CommandError("expected --step-um and --distance with --mesh only, got them for a map")
         for path in filter(None, (self.output, self.picture, self.distance)):
             terminal.check_output_file(path)
-        field = open_field(self.field, self.spacing_um, self.order, self.device)
+        field = self.source.open()
         began = time.perf_counter()
         surface = self._map(field)
         values = _describe(surface, self.tau) | {"surface_s": time.perf_counter() - began, "field": field.kind}
@@ -88,7 +84,7 @@ class SurfaceCommand:
         if self.json:
             terminal.print_json(values)
         else:
-            terminal.print_table(f"{self.field.name}: surface", _rows(values))
+            terminal.print_table(f"{self.source.file.name}: surface", _rows(values))
         return 0
 
     def _map(self, field: Field) -> SurfaceMap:
@@ -174,7 +170,7 @@ def add_parser(commands: Any) -> None:
 
 def _read(arguments: argparse.Namespace) -> SurfaceCommand:
     return SurfaceCommand(
-        field=arguments.field,
+        source=source_of(arguments),
         output=arguments.output,
         tau=arguments.tau,
         mesh=arguments.mesh,
@@ -184,9 +180,6 @@ def _read(arguments: argparse.Namespace) -> SurfaceCommand:
         ascans=arguments.ascans,
         distance=arguments.distance,
         picture=arguments.picture,
-        spacing_um=common.spacing(arguments),
-        order=arguments.order,
-        device=arguments.device,
         json=arguments.json,
     )
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from octn_ros.cli import main
 from octn_ros.commands.slice import SLICES
-from octn_ros.commands.sources import open_field
+from octn_ros.commands.sources import FieldSource
 from octn_ros.volume import load_volume
 
 
@@ -35,10 +35,11 @@ def test_the_slices_named_are_the_slices_there_are():
 
 
 def test_a_volume_is_opened_as_the_field_through_its_voxels(scan_file, field_file, unstated_file):
-    assert open_field(scan_file).kind == "interpolated"
-    assert open_field(scan_file, order="cubic").kind == "interpolated"
-    assert open_field(field_file, device="cpu").kind == "neural"
-    assert open_field(unstated_file, (20.0, 5.0, 20.0)).geometry.spacing_m == pytest.approx((2e-5, 5e-6, 2e-5))
+    assert FieldSource(scan_file).open().kind == "interpolated"
+    assert FieldSource(scan_file, order="cubic").open().kind == "interpolated"
+    assert FieldSource(field_file, device="cpu").open().kind == "neural"
+    stated = FieldSource(unstated_file, (20.0, 5.0, 20.0)).open()
+    assert stated.geometry.spacing_m == pytest.approx((2e-5, 5e-6, 2e-5))
 
 
 @pytest.mark.parametrize("kind", ["volume", "field"])
