@@ -60,10 +60,8 @@ class BenchCommand:
         surroundings = environment(device)
         values = result_to_plain(result, surroundings) | {"quick": self.quick}
         if self.output is not None:
-            try:
+            with terminal.writing(self.output):
                 written = write_report(self.output, result, surroundings)
-            except OSError as error:
-                raise terminal.CommandError(f"{self.output}: cannot write here: {error.strerror or error}") from error
             values["written"] = [str(path) for path in written]
         if self.json:
             terminal.print_json(values)

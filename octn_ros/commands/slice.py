@@ -71,7 +71,7 @@ def write_slice(path: Path, image: SliceImage) -> None:
     """
     import numpy as np
 
-    try:
+    with terminal.writing(path):
         if path.suffix == ".png":
             from octn_ros.commands.query_pictures import slice_picture
 
@@ -82,8 +82,6 @@ def write_slice(path: Path, image: SliceImage) -> None:
             import tifffile
 
             tifffile.imwrite(path, image.pixels)
-    except OSError as error:
-        raise terminal.CommandError(f"{path}: cannot write here: {error.strerror or error}") from error
 
 
 def add_parser(commands: Any) -> None:

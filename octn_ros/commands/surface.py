@@ -111,13 +111,8 @@ class SurfaceCommand:
         else:
             found = signed_distance(field, tau, region, step_m, progress=progress)
             mesh = found.mesh
-            try:
-                with self.distance.open("wb") as file:
-                    np.savez_compressed(
-                        file, distance_m=found.distance_m, x_m=found.x_m, y_m=found.y_m, z_m=found.z_m
-                    )  # fmt: skip
-            except OSError as error:
-                raise terminal.CommandError(f"{self.distance}: cannot write here: {error}") from error
+            with terminal.writing(self.distance), self.distance.open("wb") as file:
+                np.savez_compressed(file, distance_m=found.distance_m, x_m=found.x_m, y_m=found.y_m, z_m=found.z_m)
         write_mesh(self.output, mesh)
         return {
             "vertices": len(mesh.vertices_m),

@@ -93,7 +93,7 @@ def check_output_file(path: Path) -> None:
     """
     if path.is_dir():
         raise CommandError(f"{path}: expected a file to write, got a directory")
-    with _writing(path):
+    with writing(path):
         # Permissions alone do not tell (root, read-only mounts); a file that can be made does.
         tempfile.TemporaryFile(dir=path.parent).close()
 
@@ -104,7 +104,7 @@ def make_output_directory(path: Path) -> None:
     Raises:
         CommandError: it cannot.
     """
-    with _writing(path):
+    with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=path).close()
 
@@ -115,7 +115,7 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         CommandError: it cannot be written.
     """
-    with _writing(path):
+    with writing(path):
         path.write_text(text, encoding="utf-8")
 
 
@@ -125,12 +125,17 @@ def write_bytes(path: Path, content: bytes) -> None:
     Raises:
         CommandError: it cannot be written.
     """
-    with _writing(path):
+    with writing(path):
         path.write_bytes(content)
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def writing(path: Path) -> Iterator[None]:
+    """Write `path` inside, by whatever means.
+
+    Raises:
+        CommandError: it cannot be written.
+    """
     try:
         yield
     except OSError as error:
