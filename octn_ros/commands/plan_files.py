@@ -6,8 +6,6 @@ import csv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from octn_ros.commands.terminal import CommandError
 from octn_ros.errors import CalibrationError, ConfigurationError
 
@@ -85,6 +83,8 @@ def read_pose(path: Path) -> NDArray[np.float64]:
 
 
 def _yaml(path: Path) -> Any:
+    import yaml  # here, as in `octn fit`: the other commands start without it
+
     try:
         return yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
