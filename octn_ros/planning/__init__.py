@@ -6,6 +6,7 @@ from octn_ros.planning.coarse_surface import CoarseSurfaceConfig
 from octn_ros.planning.coverage import Coverage, measure_coverage
 from octn_ros.planning.envelope import EnvelopeConfig
 from octn_ros.planning.error_budget import ErrorBudget, ErrorBudgetConfig, ErrorTerm
+from octn_ros.planning.give_up import GiveUp
 from octn_ros.planning.keep_out import KeepOut, load_keep_out
 from octn_ros.planning.paper_methods import PaperConfig, paper_newton, paper_sgd
 from octn_ros.planning.plan import GivenUpPoint, Plan, PlannerConfig, plan_raster, plan_region
@@ -19,7 +20,9 @@ from octn_ros.planning.region import (
     rectangle_region,
 )
 from octn_ros.planning.region_config import RegionConfig
-from octn_ros.planning.surface_search import GiveUp, SurfaceSearch, SurfaceSearchConfig, find_surface
+from octn_ros.planning.search_config import SurfaceSearchConfig
+from octn_ros.planning.search_result import SurfaceSearch
+from octn_ros.planning.surface_search import find_surface
 from octn_ros.planning.transforms import from_translation_quaternion, invert, make_rigid, quaternions_xyzw
 from octn_ros.planning.trust import TrustConfig
 from octn_ros.planning.waypoints import WaypointConfig, Waypoints, inward_normals, place_waypoints, waypoint_poses

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from octn_ros.planning.give_up import GiveUp
 from octn_ros.planning.raster import RasterPattern
-from octn_ros.planning.surface_search import SurfaceSearch, check_inside
+from octn_ros.planning.search_result import SurfaceSearch
+from octn_ros.planning.surface_search import check_inside
 from octn_ros.query import native_surface
 from octn_ros.volume import Volume
 
@@ -78,16 +78,11 @@ def knn_baseline(source: Volume | NativeSurface, pattern: RasterPattern) -> Surf
     depth_m = surface.points_m[nearest, 2]
     asked = time.perf_counter() - began
     intensity = _intensity(surface.volume, np.column_stack([points, depth_m]))
-    return SurfaceSearch(
+    return SurfaceSearch.untested(
         depth_m=depth_m,
         intensity=intensity,
-        residual=intensity - surface.tau,
-        confidence=np.ones(len(points)),
-        given_up=np.zeros(len(points), dtype=np.bool_),
-        reason=np.full(len(points), GiveUp.KEPT, dtype=np.int8),
-        tau=np.full(len(points), surface.tau),
+        tau=surface.tau,
         coarse_depth_m=depth_m,
-        offset_correction_m=0.0,
         method="kNN baseline: largest |first difference| of each A-scan, the nearest one in the lateral plane",
         seconds={name: 0.0 if at_hand else value for name, value in surface.seconds.items()} | {"query": asked},
     )

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from octn_ros.errors import PlanError
 from octn_ros.planning.calibration import Calibration
+from octn_ros.planning.give_up import GiveUp
 from octn_ros.planning.keep_out import KeepOut
-from octn_ros.planning.surface_search import GiveUp, SurfaceSearch
+from octn_ros.planning.search_result import SurfaceSearch
 from octn_ros.planning.waypoints import BEAM
 from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry

@@ -13,10 +13,10 @@ from torch import Tensor
 from octn_ros.errors import PlanError
 from octn_ros.field import Field
 from octn_ros.planning.axial_root import AxialLines
-from octn_ros.planning.give_up import GiveUp
 from octn_ros.planning.raster import RasterPattern
 from octn_ros.planning.refinement import SmoothObjective, gradient_descent, turn_mask
-from octn_ros.planning.surface_search import SurfaceSearch, axial_lines, check_inside
+from octn_ros.planning.search_result import SurfaceSearch
+from octn_ros.planning.surface_search import axial_lines, check_inside
 from octn_ros.settings import check_settings, setting
 
 
@@ -152,22 +152,17 @@ def _result(
     lines: AxialLines, start: Tensor, depth: Tensor, tau: float, method: str, began: float, coarse_done: float
 ) -> SurfaceSearch:
     ended = time.perf_counter()
-    count, geometry = len(depth), lines.field.geometry
-    intensity = lines.values(depth[:, None], torch.arange(count, device=depth.device))[:, 0].cpu().numpy()
+    geometry = lines.field.geometry
+    intensity = lines.values(depth[:, None], torch.arange(len(depth), device=depth.device))[:, 0].cpu().numpy()
 
     def metres(voxels: Tensor) -> NDArray[np.float64]:
         return np.asarray(geometry.origin_m[2] + voxels.cpu().numpy().astype(np.float64) * geometry.spacing_m[1])
 
-    return SurfaceSearch(
+    return SurfaceSearch.untested(
         depth_m=metres(depth),
         intensity=intensity.astype(np.float64),
-        residual=intensity.astype(np.float64) - tau,
-        confidence=np.ones(count),
-        given_up=np.zeros(count, dtype=np.bool_),
-        reason=np.full(count, GiveUp.KEPT, dtype=np.int8),
-        tau=np.full(count, tau),
+        tau=tau,
         coarse_depth_m=metres(start),
-        offset_correction_m=0.0,
         method=method,
         seconds={"coarse": coarse_done - began, "refine": ended - coarse_done},
     )

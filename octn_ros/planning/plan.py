@@ -20,11 +20,14 @@ from octn_ros.planning.coverage import Coverage, measure_coverage
 from octn_ros.planning.envelope import EnvelopeConfig, PathToCheck, check_envelope, refuse_if_too_few
 from octn_ros.planning.error_budget import ErrorBudget, ErrorBudgetConfig, error_budget
 from octn_ros.planning.first_pass import first_pass
+from octn_ros.planning.give_up import GiveUp
 from octn_ros.planning.keep_out import KeepOut
 from octn_ros.planning.path import path_through
 from octn_ros.planning.raster import RasterConfig, RasterPattern, raster_pattern
 from octn_ros.planning.region import Region, rectangle_region
-from octn_ros.planning.surface_search import GiveUp, SurfaceSearch, SurfaceSearchConfig, check_inside, find_surface
+from octn_ros.planning.search_config import SurfaceSearchConfig
+from octn_ros.planning.search_result import SurfaceSearch
+from octn_ros.planning.surface_search import check_inside, find_surface
 from octn_ros.planning.waypoints import WaypointConfig, Waypoints, place_waypoints
 from octn_ros.settings import as_plain, check_settings, setting
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
-from dataclasses import field as dataclass_field
 
 import numpy as np
 import torch
@@ -15,104 +13,18 @@ from torch import Tensor
 from octn_ros.errors import PlanError
 from octn_ros.field import Field
 from octn_ros.planning.axial_root import AxialLines, aperture_disc, bracket_rises, refine_roots
-from octn_ros.planning.coarse_surface import CoarseSurface, CoarseSurfaceConfig, coarse_surface
+from octn_ros.planning.coarse_surface import CoarseSurface, coarse_surface
 from octn_ros.planning.give_up import GiveUp
 from octn_ros.planning.raster import RasterPattern
 from octn_ros.planning.refinement import SmoothObjective, gradient_descent, least_squares, turn_mask
-from octn_ros.planning.trust import TrustConfig, judge
-from octn_ros.settings import check_settings, setting
+from octn_ros.planning.search_config import SurfaceSearchConfig
+from octn_ros.planning.search_result import SurfaceSearch
+from octn_ros.planning.trust import judge
 from octn_ros.volume import VolumeGeometry
 
 _INSIDE_M = 1e-9
 # Movement in axial voxels at which the least squares are done: a hundredth of a micrometre or so.
 _STILL_VOXELS = 1e-3
-
-
-@dataclass(frozen=True)
-class SurfaceSearchConfig:
-    """How the surface under a raster is found."""
-
-    coarse: CoarseSurfaceConfig = dataclass_field(default_factory=CoarseSurfaceConfig)
-    trust: TrustConfig = dataclass_field(default_factory=TrustConfig)
-    refinement: str = setting(
-        "newton",
-        "newton: onto the level set; least_squares: smoothly along it (eq. 14); sgd: the same by gradient descent",
-        choices=("newton", "least_squares", "sgd"),
-    )
-    tau_mode: str = setting(
-        "global", "one tau for the raster, or local: half-way from air to tissue around each waypoint",
-        choices=("global", "local"),
-    )  # fmt: skip
-    aperture_m: float = setting(
-        0.0, "radius of the disc over which the field is averaged around each waypoint, 0 for the field itself",
-        unit="m", low=0.0, high=1e-3,
-    )  # fmt: skip
-    offset_correction_m: float = setting(
-        0.0, "added to every depth: minus the offset of the level set from the true surface, once calibrated",
-        unit="m", low=-1e-3, high=1e-3,
-    )  # fmt: skip
-    warmup_candidates: int = setting(7, "candidate depths around the coarse surface, N_warmup", low=2, high=1024)
-    neighbourhood_m: float = setting(
-        88e-6, "how far from the coarse surface a waypoint may lie, N_voxels as a length", unit="m", low=1e-6, high=5e-3
-    )
-    newton_steps: int = setting(8, "largest number of Newton steps before bisection", low=1, high=1000)
-    min_gradient: float = setting(
-        1e-3, "axial gradient below which a Newton step is skipped", unit="1/voxel", low=1e-9, high=1.0
-    )
-    max_step_m: float = setting(29e-6, "longest Newton step", unit="m", low=1e-9, high=5e-3)
-    convergence: float = setting(0.01, "|f - tau| / tau at which a waypoint is done", low=1e-6, high=0.5)
-    tolerance: float = setting(0.05, "|f - tau| / tau above which a root is given up", low=1e-6, high=0.5)
-    smoothness_per_m2: float = setting(
-        3.3e8, "lambda of eq. 14, for depths in metres", unit="1/m^2", low=0.0, high=1e18
-    )
-    leeway_m: float = setting(22e-6, "how far the smooth path may leave the level set", unit="m", low=0.0, high=5e-3)
-    smoothing_steps: int = setting(20, "largest number of least-squares steps", low=1, high=1000)
-    descent_steps: int = setting(1000, "number of gradient descent steps", low=1, high=1_000_000)
-    descent_rate: float = setting(
-        0.05, "gradient descent: step per unit of gradient, depths in voxels", low=1e-9, high=1e3
-    )
-    break_m: float = setting(
-        44e-6, "second difference of depth from which on the surface is taken to break, as at a step", unit="m",
-        low=1e-6, high=5e-3,
-    )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceSearch:
-    """The surface under N raster points; read-only.
-
-    Attributes:
-        depth_m: axial depth z in the OCT frame [N], offset correction included, NaN where given up.
-        intensity: field intensity on the level set there, before the offset correction [N], NaN where given up.
-        residual: intensity less tau [N], NaN where given up.
-        confidence: 0 to 1 [N]: height of the step as a share of the usual one, times how clearly it stands out, over
-            1 + (scatter of the neighbours / 14.6 um)^2.
-        given_up: points without a trustworthy depth [N].
-        reason: GiveUp of each point [N], int8.
-        tau: intensity of the surface at each point [N].
-        coarse_depth_m: depth of the coarse surface [N].
-        offset_correction_m: what was added to every depth.
-        method: what was done, in words.
-        seconds: time of the stages: "coarse", "refine" and, if made, "check".
-        root_depth_m: depth of the level set itself, before it is smoothed, offset correction included [N], NaN where
-            given up; None from a method that does not find it. Its scatter is that of the measurement.
-    """
-
-    depth_m: NDArray[np.float64]
-    intensity: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    confidence: NDArray[np.float64]
-    given_up: NDArray[np.bool_]
-    reason: NDArray[np.int8]
-    tau: NDArray[np.float64]
-    coarse_depth_m: NDArray[np.float64]
-    offset_correction_m: float
-    method: str
-    seconds: dict[str, float]
-    root_depth_m: NDArray[np.float64] | None = None
 
 
 def find_surface(
@@ -149,7 +61,7 @@ def find_surface(
     levels = _levels(field, surface, points, tau, config)
     coarse_done = time.perf_counter()
 
-    lines = axial_lines(field, points, surface if config.aperture_m > 0 else None, config.aperture_m)
+    lines = axial_lines(field, points, surface, config.aperture_m)
     start, target = (torch.from_numpy(a.astype(np.float32)).to(field.device) for a in (coarse, levels))
     brackets = bracket_rises(lines, target, start, config.neighbourhood_m / axial_m, config.warmup_candidates)
     roots = refine_roots(
@@ -189,7 +101,7 @@ def find_surface(
         tau=levels,
         coarse_depth_m=geometry.origin_m[2] + coarse * axial_m,
         offset_correction_m=config.offset_correction_m,
-        method=_method(config, surface),
+        method=f"{config.method} in {surface.depth.size} A-scans",
         seconds={
             "coarse": coarse_done - began,
             "refine": root_done - coarse_done + ended - checked,
@@ -300,17 +212,3 @@ def _smooth(
         depth = least_squares(objective, from_roots, low, high, config.smoothing_steps, _STILL_VOXELS)
     residual, _ = objective.residual_and_slope(depth)
     return depth.cpu().numpy().astype(np.float64), residual.cpu().numpy().astype(np.float64)
-
-
-def _method(config: SurfaceSearchConfig, surface: CoarseSurface) -> str:
-    refinement = {
-        "newton": "bracketed Newton with exact gradients and bisection",
-        "least_squares": "sparse least squares of eq. 14 from Newton's roots, "
-        f"lambda {config.smoothness_per_m2:g} / m^2",
-        "sgd": f"{config.descent_steps} steps of gradient descent on eq. 14, lambda {config.smoothness_per_m2:g} / m^2",
-    }[config.refinement]
-    aperture = f", the field averaged within {config.aperture_m * 1e6:.0f} um" if config.aperture_m > 0 else ""
-    local = ", tau half-way between air and tissue around each waypoint" if config.tau_mode == "local" else ""
-    correction = config.offset_correction_m * 1e6
-    offset = f", depth corrected by {correction:+.1f} um" if correction else ""
-    return f"{refinement}{aperture}{local}{offset}; {config.coarse.method} in {surface.depth.size} A-scans"

@@ -22,7 +22,7 @@ from octn_ros.planning import (
     rectangle_raster,
 )
 from octn_ros.planning.path import path_through
-from octn_ros.planning.surface_search import TrustConfig
+from octn_ros.planning.trust import TrustConfig
 from octn_ros.planning.waypoints import limit_tilt, refract
 from octn_ros.simulation import Arm, ArmConfig, LaserPath
 

@@ -22,7 +22,7 @@ from octn_ros.planning import (
     plan_to_plain,
     quaternions_xyzw,
 )
-from octn_ros.planning.surface_search import TrustConfig
+from octn_ros.planning.trust import TrustConfig
 from octn_ros.settings import as_plain, from_plain
 from octn_ros.simulation import PhantomConfig, make_phantom
 
