@@ -85,10 +85,6 @@ class CoarseSurface:
         """Interpolate one of the arrays bilinearly at lateral places (x, y) [N, 2]; beyond the lattice, its edge."""
         return ndimage.map_coordinates(values.astype(np.float64), self._index(points_m), order=1, mode="nearest")
 
-    def nearest(self, values: NDArray[np.floating], points_m: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Take one of the arrays from the nearest A-scan to lateral places (x, y) [N, 2]."""
-        return ndimage.map_coordinates(values.astype(np.float64), self._index(points_m), order=0, mode="nearest")
-
     def depth_at(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """Depth in axial voxels at lateral places (x, y) [N, 2]: interpolated, but not across a cliff.
 
@@ -96,16 +92,15 @@ class CoarseSurface:
         gentler ones of its two sides (minmod): on a steep slope both sides agree, beside a cliff one is left out.
         """
         row, column = self._index(points_m)
-        nearest = [
+        nearest = tuple(
             np.clip(np.rint(place), 0, count - 1).astype(np.intp)
             for place, count in zip((row, column), self.depth.shape, strict=True)
-        ]
-        rows, columns = nearest
-        plane = self.depth[rows, columns]
+        )
+        plane = self.depth[nearest]
         for axis, place in enumerate((row, column)):
             # Beyond the lattice its edge counts, as in `sample`.
             offset = np.clip(place, 0, self.depth.shape[axis] - 1) - nearest[axis]
-            plane = plane + _gentler_step(self.depth, axis)[rows, columns] * offset
+            plane = plane + _gentler_step(self.depth, axis)[nearest] * offset
         between = self.sample(self.depth, points_m)
         return np.where(np.abs(between - plane) * self.axial_m > _CLIFF_M, plane, between)
 
