@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
-
 from octn_ros.demo import canvas
+from octn_ros.demo.canvas import BLUE, ORANGE
 from octn_ros.field import NeuralField
+from octn_ros.query import bscan_slice
 from octn_ros.training import FitProgress
 from octn_ros.volume import Volume
-
-BLUE, ORANGE = "#1f5fa8", "#c8641b"
 
 
 def fit_picture(volume: Volume, field: NeuralField, history: Sequence[FitProgress]) -> bytes:
@@ -26,8 +24,7 @@ def fit_picture(volume: Volume, field: NeuralField, history: Sequence[FitProgres
         A PNG.
     """
     index = volume.geometry.shape[0] // 2
-    bscan, axial, lateral = (torch.linspace(-1.0, 1.0, n, device=field.device) for n in volume.geometry.shape)
-    fitted = field.lattice(lateral, axial, bscan[index : index + 1])[0].cpu().numpy()
+    fitted = bscan_slice(field, index)
     x0, x1, _, _, z0, z1 = canvas.edges_mm(volume.geometry)
     above = canvas.height_in(2, x1 - x0, z1 - z0, colour_bars=1)
     with canvas.figure(canvas.WIDTH_IN, above + 3.0) as figure:

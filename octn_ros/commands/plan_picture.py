@@ -10,14 +10,12 @@ from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
 from octn_ros.demo import canvas
-from octn_ros.demo.canvas import INK
+from octn_ros.demo.canvas import BLUE, DEPTH_COLOURS, INK, RED
 
 if TYPE_CHECKING:
     from octn_ros.field import Field
     from octn_ros.planning import Plan
 
-DEPTH_COLOURS = "viridis"
-BLUE, RED = "#1f5fa8", "#c22b2b"
 _SIDE, _DEPTHS = 200, 256  # of the lattice that the en-face view is taken from
 
 

@@ -33,7 +33,7 @@ def slice_picture(image: SliceImage) -> bytes:
         depth = image.quantity == "depth_m"
         shown = axes.imshow(
             image.pixels * 1e3 if depth else image.pixels,
-            cmap="viridis" if depth else "gray",
+            cmap=canvas.DEPTH_COLOURS if depth else "gray",
             vmin=None if depth else 0.0,
             vmax=None if depth else 1.0,
             extent=(left, right, bottom, top),
@@ -57,7 +57,7 @@ def surface_picture(surface: SurfaceMap) -> bytes:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         depth = surface.depth_m * 1e3
         low, high = np.quantile(depth, (0.01, 0.99))
-        shown = left.imshow(depth, cmap="viridis", vmin=low, vmax=max(high, low + 1e-3), extent=extent)
+        shown = left.imshow(depth, cmap=canvas.DEPTH_COLOURS, vmin=low, vmax=max(high, low + 1e-3), extent=extent)
         sure = right.imshow(surface.confidence, cmap="gray", vmin=0.0, vmax=1.0, extent=extent)
         left.set_title("Depth of the surface")
         right.set_title("Confidence")

@@ -19,6 +19,8 @@ from octn_ros.volume.geometry import VolumeGeometry
 DOTS_PER_INCH = 150
 WIDTH_IN = 10.0
 INK = "#22262b"
+BLUE, ORANGE, RED = "#1f5fa8", "#c8641b", "#c22b2b"
+DEPTH_COLOURS = "viridis"
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,

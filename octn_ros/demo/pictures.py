@@ -17,11 +17,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
 from octn_ros.demo import canvas
-from octn_ros.demo.canvas import INK
+from octn_ros.demo.canvas import BLUE, DEPTH_COLOURS, INK, ORANGE, RED
 from octn_ros.volume.geometry import VolumeGeometry
-
-DEPTH_COLOURS = "viridis"
-BLUE, ORANGE, RED = "#1f5fa8", "#c8641b", "#c22b2b"
 
 
 @dataclass(frozen=True)
