@@ -14,7 +14,6 @@ from octn_ros.commands import sources, terminal
 
 if TYPE_CHECKING:
     from octn_ros.evaluation import Fidelity, GridComparison, RegionFidelity
-    from octn_ros.volume import Volume
 
 
 @dataclass(frozen=True)
@@ -53,14 +52,15 @@ class EvalCommand:
             terminal.check_output_file(self.picture)
         from octn_ros.evaluation import assess_field
         from octn_ros.metrics import load_regions
+        from octn_ros.volume import load_volume
 
         regions = load_regions(self.regions) if self.regions is not None else None
         own_um = self.spacing_um if sources.is_scan(self.field) else None
         field = sources.FieldSource(self.field, own_um, device=self.device).open()
         # The field states its spacing, and a field is compared with its own scan: files without one need no argument.
         spacing_um = self.spacing_um or _micrometres(field.geometry.spacing_m)
-        volume = self._load(self.volume, spacing_um)
-        truth = self._load(self.truth, spacing_um) if self.truth is not None else None
+        volume = load_volume(self.volume, spacing_um)
+        truth = load_volume(self.truth, spacing_um) if self.truth is not None else None
         began = time.perf_counter()
         with terminal.ProgressBar() as bar:
             fidelity = assess_field(
@@ -90,11 +90,6 @@ class EvalCommand:
         else:
             terminal.print_table(f"{self.field.name} against {self.volume.name}", _rows(values))
         return 0
-
-    def _load(self, path: Path, spacing_um: tuple[float, float, float]) -> Volume:
-        from octn_ros.volume import load_volume
-
-        return load_volume(path, spacing_um)
 
 
 def plain_fidelity(fidelity: Fidelity) -> dict[str, Any]:

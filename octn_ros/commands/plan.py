@@ -36,7 +36,8 @@ class PlanCommand:
         source: the field file, or a C-scan file to interpolate, and how to open it.
         calibration: the YAML file with `oct2ee` and `laser2ee`.
         output: the .json or .csv file to write.
-        region: "corners", "centre", "polygon" or, for the largest centred rectangle up to 3 x 3 mm, "".
+        region: "corners", "centre", or "" for the polygon or, without one, the largest centred rectangle up to
+            3 x 3 mm.
         places: of the region: two corners, or centre and size, as ((x, y), (x, y)) in millimetres.
         polygon: CSV file of the region's corners.
         angle_deg: angle of the lines, and so of the rectangle, about the beam.
