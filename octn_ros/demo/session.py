@@ -108,15 +108,16 @@ def run_session(source: ScanSource, fit_parameters: Mapping[str, Any], show: Sho
             )
             message = _wait_field(ears, fit_parameters)
         data = conversions.field_data(message)
+        identity = field_hash(data)
         with watch.part("plan"):
             show("planning", 0.0, "")
-            plan = _plan(client, ears, source.volume.geometry, field_hash(data))
+            plan = _plan(client, ears, source.volume.geometry, identity)
             waypoints_oct, tool_path = _waypoints(ears, plan)
         with watch.part("execute"):
             execution = _execute(client, ears, show)
         return SessionRecord(
             field=loads_field(data),
-            field_hash=field_hash(data),
+            field_hash=identity,
             fit=_last(ears.fit_progress, ("done",)),
             history=_history(ears),
             plan=plan,
