@@ -16,6 +16,8 @@ from octn_ros.settings import check_settings, setting
 MAX_WAYPOINTS = 1_000_000
 # Steps along a line in which its length on the surface is added up, per waypoint.
 _ARC_STEPS = 4
+# Waypoints that a line may get over its length by the spacing, at most, so that no step is longer.
+_SPARE = 8
 
 # Depth z [N] in metres under lateral places (x, y) [N, 2] of the OCT frame.
 DepthAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -147,8 +149,14 @@ def _run(
     fine = np.linspace(u0, u1, _ARC_STEPS * int(_count(u1 - u0, spacing)) + 1)
     depth = depth_m(region.to_xy(fine, np.full_like(fine, v)))
     length = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(fine), np.diff(depth)))))
-    u = np.interp(np.linspace(0.0, length[-1], int(_count(length[-1], spacing))), length, fine)
-    return region.to_xy(u, np.full_like(u, v))
+    count = int(_count(length[-1], spacing))
+    # Between the samples the surface bends, so that a step may come out a little longer than its share of the length.
+    for waypoints in range(count, count + _SPARE):
+        u = np.interp(np.linspace(0.0, length[-1], waypoints), length, fine)
+        places = region.to_xy(u, np.full_like(u, v))
+        if np.hypot(np.diff(u), np.diff(depth_m(places))).max() <= spacing * (1.0 + 1e-9):
+            break
+    return places
 
 
 def _count(length_m: float, spacing_m: float) -> float:
