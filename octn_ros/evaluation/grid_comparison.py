@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from octn_ros.errors import QueryError
@@ -14,6 +13,7 @@ from octn_ros.evaluation.contrast import Contrast, typical_surface
 from octn_ros.field import Field
 from octn_ros.metrics import SSIM_WINDOW, CloudDistance, cloud_distance, psnr_from_error_db, ssim
 from octn_ros.query import native_surface
+from octn_ros.query.lattice import canonical_index
 from octn_ros.volume import Volume, gaussian_filter
 
 Progress = Callable[[float], None]
@@ -89,7 +89,7 @@ def render_bscans(field: Field, positions: NDArray[np.number]) -> NDArray[np.flo
     """Return the field's intensities [position, axial, lateral] at whole or fractional B-scan positions of its grid."""
     bscans, axials, laterals = field.geometry.shape
     lateral, axial, bscan = (
-        torch.from_numpy((np.asarray(index) * (2.0 / (count - 1)) - 1.0).astype(np.float32)).to(field.device)
+        canonical_index(index, count, field.device)
         for index, count in ((np.arange(laterals), laterals), (np.arange(axials), axials), (positions, bscans))
     )
     return field.lattice(lateral, axial, bscan).cpu().numpy()

@@ -140,11 +140,7 @@ class Lattice:
         bscan, axial, lateral = (
             slice(round(axis[0]), round(axis[-1]) + 1) for axis in (self.bscan[planes], self.axial, self.lateral)
         )
-        part = volume.array[bscan, axial, lateral].astype(np.float32)
-        low, high = volume.intensity_range
-        part -= np.float32(low)
-        part *= np.float32(1.0 / (high - low))
-        return np.clip(part, 0.0, 1.0, out=part)
+        return volume.normalized((bscan, axial, lateral))
 
 
 def lattice_size(width_m: float, height_m: float, voxels: tuple[int, int], most: int) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from octn_ros.errors import QueryError
 from octn_ros.field import Field
-from octn_ros.query.lattice import LARGEST_PLANE
+from octn_ros.query.lattice import LARGEST_PLANE, canonical_index
 
 # Directions of a plane further than this from a right angle are not what their author meant.
 _SQUARE = 1e-3
@@ -177,7 +177,6 @@ def _cut(field: Field, axis: int, position: float, query: str, what: str) -> NDA
         raise QueryError(f"{query}: expected a {what} from 0 to {count - 1}, got {position}")
     indices = [np.full(1, position) if a == axis else np.arange(n) for a, n in enumerate(field.geometry.shape)]
     bscan, axial, lateral = (
-        torch.from_numpy(np.asarray(index * (2.0 / (n - 1)) - 1.0, dtype=np.float32)).to(field.device)
-        for index, n in zip(indices, field.geometry.shape, strict=True)
+        canonical_index(index, n, field.device) for index, n in zip(indices, field.geometry.shape, strict=True)
     )
     return np.asarray(field.lattice(lateral, axial, bscan).cpu().numpy())
