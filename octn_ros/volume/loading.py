@@ -13,8 +13,8 @@ from octn_ros.errors import OctnError, VolumeError
 from octn_ros.volume.limits import ReadLimit
 from octn_ros.volume.normalisation import Normalisation
 from octn_ros.volume.orientation import AXES, FORWARD, axis_order, check_scan_signs, orient
-from octn_ros.volume.scan_header import RawScan, ReadRequest, integer_range
-from octn_ros.volume.volume import INTENSITY_SCALES, IntensityScale, Volume
+from octn_ros.volume.scan_header import RawScan, ReadRequest
+from octn_ros.volume.volume import INTENSITY_SCALES, IntensityScale, Volume, integer_range
 
 Reader = Callable[[Path, ReadRequest], RawScan]
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
 from octn_ros.volume.geometry import VolumeGeometry
-from octn_ros.volume.scan_header import RawScan, ReadRequest, ScanHeader, integer_range
+from octn_ros.volume.scan_header import RawScan, ReadRequest, ScanHeader
 from octn_ros.volume.slabs import read_fortran_order
-from octn_ros.volume.volume import Volume, kept_type
+from octn_ros.volume.volume import Volume, integer_range, kept_type
 
 _METRES_PER_UNIT = {"meter": 1.0, "mm": 1e-3, "micron": 1e-6}
 # Intensity range, scale and acquisition time have no field in the NIfTI header: they travel as JSON in a comment.

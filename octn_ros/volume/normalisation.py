@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from octn_ros.errors import ConfigurationError, VolumeError
 from octn_ros.settings import check_settings, setting
-from octn_ros.volume.scan_header import integer_range
+from octn_ros.volume.volume import integer_range
 
 NORMALISATIONS = ("type", "minmax", "percentile")
 _SAMPLE = 2**22  # voxels of a float array that its percentiles are taken from

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
@@ -136,14 +135,6 @@ class RawScan:
     header: ScanHeader
     read_voxels: Callable[[], NDArray[Any]]
     type_range: tuple[float, float] | None = None
-
-
-def integer_range(dtype: np.dtype[Any]) -> tuple[float, float] | None:
-    """Return the smallest and largest number of an integer type, None for other types."""
-    if dtype.kind not in "ui":
-        return None
-    info = np.iinfo(dtype)
-    return float(info.min), float(info.max)
 
 
 def _numbers(values: dict[str, Any], key: str, count: int) -> tuple[float, ...] | None:

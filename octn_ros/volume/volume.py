@@ -112,10 +112,18 @@ def kept_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
     return np.dtype(np.float32)
 
 
+def integer_range(dtype: np.dtype[Any]) -> tuple[float, float] | None:
+    """Return the smallest and largest number of an integer type, None for other types."""
+    if dtype.kind not in "ui":
+        return None
+    info = np.iinfo(dtype)
+    return float(info.min), float(info.max)
+
+
 def _default_range(array: NDArray[Any]) -> tuple[float, float]:
-    if array.dtype.kind in "ui":
-        info = np.iinfo(array.dtype)
-        return float(info.min), float(info.max)
+    integers = integer_range(array.dtype)
+    if integers is not None:
+        return integers
     low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 1.0)
     # Anything that is not a usable range is left to the constructor, which says what is wrong with the voxels.
     return (0.0, 1.0) if not low < high or (low >= 0.0 and high <= 1.0) else (low, high)
