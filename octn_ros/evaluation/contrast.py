@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from octn_ros.evaluation.slabs import slab_volume, slabs
 from octn_ros.metrics import air_and_tissue, snr_from_moments_db
 from octn_ros.query import native_surface
 from octn_ros.volume import Volume, gaussian_filter
@@ -16,7 +16,6 @@ from octn_ros.volume import Volume, gaussian_filter
 _SIGMA_VOXELS = 2.0
 _HALO_BSCANS = 8  # where scipy cuts that Gaussian off
 _MEDIAN = 9  # A-scans along both lateral axes
-_SLAB_VOXELS = 1 << 23
 
 
 def typical_surface(volume: Volume) -> NDArray[np.float64]:
@@ -31,19 +30,13 @@ def typical_surface(volume: Volume) -> NDArray[np.float64]:
     Raises:
         QueryError: no A-scan has a difference at all.
     """
-    bscans, axials, laterals = volume.geometry.shape
+    bscans, _, laterals = volume.geometry.shape
     depth = np.empty((bscans, laterals))
-    step = max(1, _SLAB_VOXELS // (axials * laterals))
-    for first in range(0, bscans, step):
-        last = min(first + step, bscans)
-        # A slab has at least the two B-scans that a geometry needs, thanks to its halo.
-        start, stop = max(0, first - _HALO_BSCANS), min(bscans, last + _HALO_BSCANS)
-        intensity = volume.normalized(slice(start, stop))
-        geometry = replace(volume.geometry, shape=intensity.shape)
-        slab = replace(volume, array=intensity, geometry=geometry, intensity_range=(0.0, 1.0))
+    for first, last, halo in slabs(volume.geometry.shape, _HALO_BSCANS):
+        slab = slab_volume(volume, volume.normalized(halo))
         points = native_surface(gaussian_filter(slab, _SIGMA_VOXELS), rises_only=True)
-        index = geometry.metric_to_voxel(points)[:, 1].reshape(stop - start, laterals)
-        depth[first:last] = index[first - start : last - start]
+        index = slab.geometry.metric_to_voxel(points)[:, 1].reshape(halo.stop - halo.start, laterals)
+        depth[first:last] = index[first - halo.start : last - halo.start]
     typical: NDArray[np.float64] = ndimage.median_filter(depth, size=_MEDIAN, mode="nearest")
     return typical
 

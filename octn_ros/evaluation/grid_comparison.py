@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import QueryError
 from octn_ros.evaluation.contrast import Contrast, typical_surface
+from octn_ros.evaluation.slabs import slab_volume, slabs
 from octn_ros.field import Field
 from octn_ros.metrics import SSIM_WINDOW, CloudDistance, cloud_distance, psnr_from_error_db, ssim
 from octn_ros.query import native_surface
@@ -21,7 +22,6 @@ Progress = Callable[[float], None]
 SURFACE_SIGMA_VOXELS = 1.0
 SURFACE_VARIANTS = ("raw voxels", f"after a Gaussian of {SURFACE_SIGMA_VOXELS:g} voxel")
 _HALO_BSCANS = 4  # where scipy cuts the Gaussian off
-_SLAB_VOXELS = 1 << 23
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def compare_on_grid(
     typical = typical_surface(volumes[0])
     sums = [_Sums(volume, typical) for volume in volumes]
     own, contrast = _Surfaces(shape), Contrast(typical)
-    for first, last, halo in _slabs(shape):
+    for first, last, halo in slabs(shape, _HALO_BSCANS):
         rendered = render_bscans(field, np.arange(halo.start, halo.stop))
         inner = slice(first - halo.start, last - halo.start)
         own.add(volumes[0], halo, first, last, rendered)
@@ -110,12 +110,11 @@ class _Surfaces:
         self.depth = np.empty((len(SURFACE_VARIANTS), shape[0], shape[2]))
 
     def add(self, like: Volume, halo: slice, first: int, last: int, intensity: NDArray[np.float32]) -> None:
-        geometry = replace(like.geometry, shape=intensity.shape)
-        slab = replace(like, array=np.ascontiguousarray(intensity), geometry=geometry, intensity_range=(0.0, 1.0))
+        slab = slab_volume(like, intensity)
         inner = slice(first - halo.start, last - halo.start)
         for variant, filtered in enumerate((slab, gaussian_filter(slab, SURFACE_SIGMA_VOXELS))):
             points = native_surface(filtered).reshape(intensity.shape[0], intensity.shape[2], 3)
-            self.depth[variant, first:last] = geometry.metric_to_voxel(points[inner])[..., 1]
+            self.depth[variant, first:last] = slab.geometry.metric_to_voxel(points[inner])[..., 1]
 
 
 class _Sums:
@@ -154,13 +153,6 @@ class _Sums:
             volume_surface=mine,
             field_surface=other,
         )
-
-
-def _slabs(shape: tuple[int, int, int]) -> Iterator[tuple[int, int, slice]]:
-    step = max(1, _SLAB_VOXELS // (shape[1] * shape[2]))
-    for first in range(0, shape[0], step):
-        last = min(first + step, shape[0])
-        yield first, last, slice(max(0, first - _HALO_BSCANS), min(shape[0], last + _HALO_BSCANS))
 
 
 def _check_same_grid(field: Field, volume: Volume) -> None:
