@@ -60,6 +60,11 @@ class Column:
         return str(value)
 
 
+def filled_columns(rows: Sequence[Row], columns: Sequence[Column]) -> list[Column]:
+    """Return the columns for which at least one row has something."""
+    return [column for column in columns if any(row.get(column.key) is not None for row in rows)]
+
+
 @dataclass(frozen=True)
 class BenchmarkResult:
     """Everything a reader needs to judge a benchmark, and to run it again.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from octn_ros.errors import ConfigurationError
-from octn_ros.evaluation.benchmark import BenchmarkRequest, BenchmarkResult, Column, Progress
+from octn_ros.evaluation.benchmark import BenchmarkRequest, BenchmarkResult, Column, Progress, filled_columns
 from octn_ros.evaluation.raster_config import QUICK, SYSTEM, RasterBenchConfig
 from octn_ros.evaluation.raster_fields import FILTERS, filtered, phantom_config, table_fields
 from octn_ros.evaluation.raster_judgement import Judge
@@ -112,7 +112,7 @@ def run(request: BenchmarkRequest, config: RasterBenchConfig | None = None) -> B
         name="raster",
         title="surface under a raster, against known truth",
         rows=rows,
-        columns=[column for column in COLUMNS if any(row.get(column.key) is not None for row in rows)],
+        columns=filled_columns(rows, COLUMNS),
         paper=_paper_rows(),
         deviations=_DEVIATIONS,
         notes=(*_NOTES, *offset_notes(rows)),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from octn_ros.evaluation.benchmark import BenchmarkResult, Column, Row
+from octn_ros.evaluation.benchmark import BenchmarkResult, Column, Row, filled_columns
 
 
 def result_to_plain(result: BenchmarkResult, environment: dict[str, Any]) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def markdown(result: BenchmarkResult, environment: dict[str, Any]) -> str:
         "",
         "## The paper's figures",
         "",
-        *_table(result.paper, [*_filled_columns(result.paper, result.columns), Column("source", "where")]),
+        *_table(result.paper, [*filled_columns(result.paper, result.columns), Column("source", "where")]),
         "",
         *_list("What the figures mean", result.notes),
         *_list("Where the protocol differs from the paper's", result.deviations),
@@ -85,10 +85,6 @@ def _table(rows: Sequence[Row], columns: Sequence[Column]) -> list[str]:
     head = "| " + " | ".join(column.title for column in columns) + " |"
     rule = "|" + " --- |" * len(columns)
     return [head, rule, *("| " + " | ".join(column.text(row) for column in columns) + " |" for row in rows)]
-
-
-def _filled_columns(rows: Sequence[Row], columns: Sequence[Column]) -> list[Column]:
-    return [column for column in columns if any(row.get(column.key) is not None for row in rows)]
 
 
 def _list(title: str, sentences: Sequence[str]) -> list[str]:
