@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from octn_ros.errors import OctnError, VolumeError
+from octn_ros.volume.formats import format_function, format_suffix
 from octn_ros.volume.limits import ReadLimit
 from octn_ros.volume.normalisation import Normalisation
 from octn_ros.volume.orientation import AXES, FORWARD, axis_order, check_scan_signs, orient
@@ -140,16 +140,15 @@ _SILENT = logging.NullHandler()
 
 def _reader(path: Path) -> Reader:
     if path.is_dir():
-        return _function("image_folder.read_image_folder")
+        return format_function("image_folder.read_image_folder")
     if not path.is_file():
         raise VolumeError(f"no such file; expected a C-scan as {FORMATS}")
     if path.stat().st_size == 0:
         raise VolumeError(f"the file is empty; expected a C-scan as {FORMATS}")
-    name = path.name.lower()
-    suffix = ".nii.gz" if name.endswith(".nii.gz") else Path(name).suffix
+    suffix = format_suffix(path)
     if suffix not in _READERS:
         suffix = _suffix_by_content(path)
-    return _function(_READERS[suffix])
+    return format_function(_READERS[suffix])
 
 
 def _suffix_by_content(path: Path) -> str:
@@ -159,12 +158,6 @@ def _suffix_by_content(path: Path) -> str:
         if start[offset:].startswith(magic):
             return suffix
     raise VolumeError(f"neither suffix nor content is known; expected a C-scan as {FORMATS}")
-
-
-def _function(name: str) -> Reader:
-    module, function = name.split(".")
-    reader: Reader = getattr(importlib.import_module(f"octn_ros.volume.{module}"), function)
-    return reader
 
 
 def _spacing_m(

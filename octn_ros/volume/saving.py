@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 from octn_ros.errors import VolumeError
 from octn_ros.volume.atomic import replacing
+from octn_ros.volume.formats import format_function, format_suffix
 from octn_ros.volume.volume import Volume
 
 _WRITERS = {
@@ -28,12 +28,10 @@ def save_volume(path: str | Path, volume: Volume) -> None:
         VolumeError: the suffix is none of these, or the file cannot be written.
     """
     path = Path(path)
-    name = path.name.lower()
-    suffix = ".nii.gz" if name.endswith(".nii.gz") else Path(name).suffix
+    suffix = format_suffix(path)
     if suffix not in _WRITERS:
         raise VolumeError(f"{path}: expected one of the suffixes {', '.join(_WRITERS)}, got {suffix or 'none'}")
-    module, function = _WRITERS[suffix].split(".")
-    write = getattr(importlib.import_module(f"octn_ros.volume.{module}"), function)
+    write = format_function(_WRITERS[suffix])
     try:
         with replacing(path) as temporary:
             write(temporary, volume)
