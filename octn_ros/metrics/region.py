@@ -13,13 +13,14 @@ import yaml
 from numpy.typing import NDArray
 
 from octn_ros.errors import QueryError
+from octn_ros.metrics.image import SSIM_WINDOW
 
 RegionKind = Literal["air", "tissue", "boundary"]
 _KINDS = get_args(RegionKind)
 _KEYS = ("name", "kind", "axial", "lateral")
 # Voxels between the surface and a region of air or tissue: the edge itself and its blur belong to neither.
 _MARGIN_VOXELS = 6
-_SMALLEST_VOXELS = 11  # the window of SSIM
+_SMALLEST_VOXELS = SSIM_WINDOW
 
 
 @dataclass(frozen=True)
