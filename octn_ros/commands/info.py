@@ -40,15 +40,14 @@ class InfoCommand:
         return 0
 
     def _describe(self) -> dict[str, Any]:
-        from octn_ros.volume import Normalisation
         from octn_ros.volume.appraisal import appraise, histogram
+        from octn_ros.volume.normalisation import percentiles
 
         volume = self.scan.load()
         geometry = volume.geometry
         x, y, z = geometry.extent_m
         counts, edges = histogram(volume)
-        p1, p99 = Normalisation("percentile", 1.0, 99.0).intensity_range(volume.array)
-        median, _ = Normalisation("percentile", 50.0, 100.0).intensity_range(volume.array)
+        p1, median, p99 = percentiles(volume.array, (1.0, 50.0, 99.0))
         found = appraise(volume)
         axial_um, top_um = geometry.spacing_m[1] * 1e6, geometry.origin_m[2] * 1e6
         return {

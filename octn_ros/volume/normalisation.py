@@ -55,29 +55,35 @@ class Normalisation:
         """
         if self.kind == "type":
             return type_range or _type_range(array)
-        low, high = self._percentiles(array) if self.kind == "percentile" else (array.min(), array.max())
+        percentile = self.kind == "percentile"
+        low, high = percentiles(array, (self.low, self.high)) if percentile else (array.min(), array.max())
         if low == high:
             raise VolumeError(
                 f"expected two different values as intensity range, normalisation {self.kind} gives {low:g} twice"
             )
         return float(low), float(high)
 
-    def _percentiles(self, array: NDArray[Any]) -> tuple[float, float]:
-        if array.dtype.kind in "ui" and array.dtype.itemsize <= 2:
-            start = int(np.iinfo(array.dtype).min)
-            counts = np.zeros(2 ** (8 * array.dtype.itemsize), np.int64)
-            for part in array:  # bincount needs indices of 8 bytes: never of the whole volume at once
-                counts += np.bincount(part.ravel().astype(np.int64) - start, minlength=counts.size)
-            rank = np.cumsum(counts)
-            low, high = (
-                start + float(np.searchsorted(rank, max(1, np.ceil(q / 100 * array.size))))
-                for q in (self.low, self.high)
-            )
-            return low, high
-        sample = array[:: max(1, array.size // _SAMPLE // max(1, array[0].size) + 1)]
-        step = max(1, sample.size // _SAMPLE)
-        low, high = np.percentile(sample.ravel()[::step], (self.low, self.high))
-        return float(low), float(high)
+
+def percentiles(array: NDArray[Any], which: tuple[float, ...]) -> tuple[float, ...]:
+    """Return percentiles of raw voxels [bscan, axial, lateral], in one pass over them.
+
+    Those of integers up to 16 bits are exact; those of other types are taken from at most four million voxels spread
+    evenly over the array.
+
+    Args:
+        array: raw voxels of any real type.
+        which: the percentiles, 0 to 100.
+    """
+    if array.dtype.kind in "ui" and array.dtype.itemsize <= 2:
+        start = int(np.iinfo(array.dtype).min)
+        counts = np.zeros(2 ** (8 * array.dtype.itemsize), np.int64)
+        for part in array:  # bincount needs indices of 8 bytes: never of the whole volume at once
+            counts += np.bincount(part.ravel().astype(np.int64) - start, minlength=counts.size)
+        rank = np.cumsum(counts)
+        return tuple(start + float(np.searchsorted(rank, max(1, np.ceil(q / 100 * array.size)))) for q in which)
+    sample = array[:: max(1, array.size // _SAMPLE // max(1, array[0].size) + 1)]
+    step = max(1, sample.size // _SAMPLE)
+    return tuple(float(value) for value in np.percentile(sample.ravel()[::step], which))
 
 
 def _type_range(array: NDArray[Any]) -> tuple[float, float]:

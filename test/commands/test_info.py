@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from octn_ros.cli import main
-from octn_ros.volume import load_volume, save_volume
+from octn_ros.volume import Volume, load_volume, save_volume
 
 
 def test_json_tells_shape_spacing_and_intensity(scan_file, capsys):
@@ -45,6 +45,16 @@ def test_every_format_is_told_alike(scan_file, tmp_path, suffix, capsys):
         assert main(["info", str(path), "--json"]) == 0
         told.append({**json.loads(capsys.readouterr().out), "file": ""})
     assert told[0] == told[1]
+
+
+@pytest.mark.parametrize("bright", [1, 2000])
+def test_a_scan_of_two_values_is_described(tmp_path, bright, capsys):
+    array = np.zeros((10, 20, 20), np.uint8)
+    array.reshape(-1)[-bright:] = 255
+    save_volume(tmp_path / "scan.nii", Volume.from_array(array, (1e-5, 1e-5, 1e-5)))
+    assert main(["info", str(tmp_path / "scan.nii"), "--json"]) == 0
+    intensity = json.loads(capsys.readouterr().out)["intensity"]
+    assert intensity == {"min": 0, "p1": 0, "median": 0, "p99": 0 if bright == 1 else 255, "max": 255}
 
 
 def test_the_table_is_for_people(scan_file, capsys):
