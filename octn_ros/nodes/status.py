@@ -37,7 +37,7 @@ class StatusTopic:
         """
         if not self._node.context.ok():
             return  # the graph is gone, and the log with it
-        pairs = [KeyValue(key=key, value=_text(value)) for key, value in (values or {}).items()]
+        pairs = key_values(values or {})
         status = DiagnosticStatus(level=level, name=self._name, message=message, hardware_id="octn_ros", values=pairs)
         report = DiagnosticArray(status=[status])
         report.header.stamp = self._node.get_clock().now().to_msg()
@@ -51,6 +51,11 @@ class StatusTopic:
             else:
                 logger.error(message)
         self._publisher.publish(report)
+
+
+def key_values(values: dict[str, Any]) -> list[KeyValue]:
+    """Return named figures as a status carries them: numbers as plain text, lists and dicts as JSON."""
+    return [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
 
 
 def read(message: DiagnosticArray) -> tuple[bytes, str, dict[str, str]]:
