@@ -1,0 +1,43 @@
+"""Messages to arrays and back: the only place where the two meet.
+
+Every function is pure and thread-safe. Lengths are metres, times nanoseconds, quaternions (x, y, z, w).
+"""
+
+from octn_ros.field import FORMAT
+from octn_ros.nodes.conversions.buffers import shortest_decimal, to_bytes_field
+from octn_ros.nodes.conversions.clouds import to_cloud
+from octn_ros.nodes.conversions.fields import field_data, to_field_message
+from octn_ros.nodes.conversions.grids import LARGEST_GRID, to_grid
+from octn_ros.nodes.conversions.headers import header, stamp_to_ns
+from octn_ros.nodes.conversions.images import image_to_array, to_image
+from octn_ros.nodes.conversions.poses import (
+    matrix_to_pose_stamped,
+    pose_to_matrix,
+    poses_to_matrices,
+    to_path,
+    to_pose_array,
+)
+from octn_ros.nodes.conversions.tool_paths import TOOL_PATH, cloud_to_tool_path, tool_path
+
+__all__ = [
+    "FORMAT",
+    "LARGEST_GRID",
+    "TOOL_PATH",
+    "cloud_to_tool_path",
+    "field_data",
+    "header",
+    "image_to_array",
+    "matrix_to_pose_stamped",
+    "pose_to_matrix",
+    "poses_to_matrices",
+    "shortest_decimal",
+    "stamp_to_ns",
+    "to_bytes_field",
+    "to_cloud",
+    "to_field_message",
+    "to_grid",
+    "to_image",
+    "to_path",
+    "to_pose_array",
+    "tool_path",
+]
