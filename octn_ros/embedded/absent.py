@@ -31,14 +31,14 @@ _NAMES = """
     rclpy.logging: clear_config get_logger_level get_logging_directory initialize shutdown
     rclpy.logging.RcutilsLogger: is_enabled_for logger_sublogger_namepair
     rclpy.logging.RcutilsLogger.log: name throttle_time_source_type
-    rclpy.node.Node: add_post_set_parameters_callback add_pre_set_parameters_callback add_waitable clients
-        count_clients count_services create_guard_condition create_rate destroy_guard_condition destroy_rate
+    rclpy.node.Node: add_pre_set_parameters_callback add_waitable clients count_clients
+        count_services create_guard_condition create_rate destroy_guard_condition destroy_rate
         get_client_names_and_types_by_node get_fully_qualified_node_names get_node_names
         get_node_names_and_namespaces get_node_names_and_namespaces_with_enclaves get_parameter_or
         get_parameter_type get_parameter_types get_publisher_names_and_types_by_node get_publishers_info_by_topic
         get_service_names_and_types get_service_names_and_types_by_node get_subscriber_names_and_types_by_node
         get_subscriptions_info_by_topic get_topic_names_and_types guards handle publishers
-        remove_post_set_parameters_callback remove_pre_set_parameters_callback remove_waitable services
+        remove_pre_set_parameters_callback remove_waitable services
         set_descriptor subscriptions timers undeclare_parameter waitables
     rclpy.node.Node(): allow_undeclared_parameters automatically_declare_parameters_from_overrides cli_args
         enable_logger_service enable_rosout

@@ -161,6 +161,23 @@ def test_callbacks_check_what_is_set(nodes):
     assert told(node, "x", 70).successful
 
 
+def test_what_follows_new_values_is_told_once_they_hold_and_not_of_refused_ones(nodes):
+    node, heard = nodes("alpha"), []
+
+    def follow(parameters):
+        heard.append([(p.name, node.get_parameter(p.name).value) for p in parameters])
+
+    node.add_post_set_parameters_callback(follow)
+    node.declare_parameter("x", 1)
+    node.add_on_set_parameters_callback(lambda parameters: SetParametersResult(successful=parameters[0].value < 9))
+    assert told(node, "x", 2).successful
+    assert not told(node, "x", 10).successful
+    assert heard == [[("x", 1)], [("x", 2)]]
+    node.remove_post_set_parameters_callback(follow)
+    assert told(node, "x", 3).successful
+    assert len(heard) == 2
+
+
 def test_parameter_events(nodes, spin_until):
     node, listener, events = nodes("alpha"), nodes("beta"), []
     listener.create_subscription(ParameterEvent, "/parameter_events", events.append, 10)

@@ -32,6 +32,7 @@ class NodeParameters:
         self._parameters: dict[str, Parameter] = {}
         self._descriptors: dict[str, Any] = {}
         self._on_set: list[Callable[[list[Parameter]], Any]] = []
+        self._post_set: list[Callable[[list[Parameter]], None]] = []
 
     def get_fully_qualified_name(self) -> str:
         """Return the node's full name."""
@@ -166,6 +167,8 @@ class NodeParameters:
             told = event.changed_parameters if p.name in self._parameters else event.new_parameters
             told.append(p.to_parameter_msg())
             self._parameters[p.name], self._descriptors[p.name] = p, descriptors[p.name]
+        for callback in self._post_set:
+            callback(parameters)
         self._parameter_events.publish(event)
         self._were_set(parameters)
         return SetParametersResult(successful=True)
@@ -191,6 +194,14 @@ class NodeParameters:
     def remove_on_set_parameters_callback(self, callback: Callable[[list[Parameter]], Any]) -> None:
         """Take back `add_on_set_parameters_callback`; raise ValueError if it was not added."""
         self._on_set.remove(callback)
+
+    def add_post_set_parameters_callback(self, callback: Callable[[list[Parameter]], None]) -> None:
+        """Call `callback` once parameters have their new values, also when they are declared."""
+        self._post_set.insert(0, callback)
+
+    def remove_post_set_parameters_callback(self, callback: Callable[[list[Parameter]], None]) -> None:
+        """Take back `add_post_set_parameters_callback`; raise ValueError if it was not added."""
+        self._post_set.remove(callback)
 
 
 def _out_of_range(parameter: Parameter, bounds: Any, tolerance: float) -> str:
