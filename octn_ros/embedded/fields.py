@@ -80,6 +80,8 @@ def _scalar(owner: str, name: str, argument: tuple[str, int], refuse: Callable[[
         return value
 
     default = DEFAULTS.get((owner, name), ZERO[python])
+    if base == "float64":  # every float is in range; poses are made of these
+        return Field(lambda: default, lambda v: v if isinstance(v, float) else refuse(v, "of type 'float'"))
     return Field(lambda: default, convert)
 
 
