@@ -9,17 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
+from octn_ros.volume.bscan_places import IMAGE2OCT_ROTATION, BScanPlaces
 from octn_ros.volume.geometry import VolumeGeometry
 from octn_ros.volume.volume import IntensityScale, Volume
 
-IMAGE2OCT_ROTATION: NDArray[np.float64] = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Axes of the B-scan image frame in the OCT frame: x = lateral, y = axial (image down), z = -bscan."""
-IMAGE2OCT_ROTATION.flags.writeable = False
+__all__ = ["IMAGE2OCT_ROTATION", "CScanAssembler"]
 
-# How far a B-scan may lie from its place, as a share of the spacing: wide of what float32 poses lose, and far below
-# the half spacing at which the index would be ambiguous.
-_PLACE_TOLERANCE = 0.1
-_ROTATION_TOLERANCE = 1e-3
 _DTYPES = (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32))
 
 
@@ -27,13 +22,16 @@ class CScanAssembler:
     """Assembles C-scans from B-scans in order, one after another; not thread-safe, keeps one C-scan in memory.
 
     The OCT frame's origin is the centre of the first voxel of B-scan 0, so the index of a B-scan is its y over the
-    spacing. B-scan 0 begins a C-scan. A B-scan that does not fit drops the partial C-scan: `add` raises once, and the
-    rest of that C-scan is then left aside without a further error until a B-scan 0 arrives.
+    step from one to the next. B-scan 0 begins a C-scan. A B-scan that does not fit drops the partial C-scan: `add`
+    raises once, and the rest of that C-scan is then left aside without a further error until a B-scan 0 arrives.
+
+    The voxels are allocated once, when B-scan 0 comes, and become those of the Volume: each image is copied once.
 
     Args:
         bscan_count: number of B-scans in a C-scan, at least 2.
-        spacing_m: metres between voxel centres along (bscan, axial, lateral).
+        spacing_m: metres between voxel centres along (bscan, axial, lateral). bscan None: the poses tell it.
         intensity_scale: what the voxel values mean, written into the Volume.
+        largest_voxels: C-scans of more voxels are refused at their first B-scan; None for any.
 
     Raises:
         VolumeError: the count is below 2, or a spacing is not positive.
@@ -42,18 +40,22 @@ class CScanAssembler:
     def __init__(
         self,
         bscan_count: int,
-        spacing_m: tuple[float, float, float],
+        spacing_m: tuple[float | None, float, float],
         intensity_scale: IntensityScale = "unknown",
+        *,
+        largest_voxels: int | None = None,
     ) -> None:
-        VolumeGeometry((bscan_count, 2, 2), spacing_m)
+        along, axial, lateral = spacing_m
+        VolumeGeometry((bscan_count, 2, 2), (1.0 if along is None else along, axial, lateral))
         self._count = bscan_count
-        self._spacing_m = spacing_m
+        self._in_plane_m = axial, lateral
         self._scale = intensity_scale
+        self._largest = largest_voxels
+        self._places = BScanPlaces(bscan_count, spacing_m)
         self._voxels: NDArray[Any] | None = None
         self._received = 0
-        self._origin_m = (0.0, 0.0, 0.0)
-        self._stamp_ns = 0
-        self._last_stamp_ns = 0
+        self._form = ""
+        self._stamp_ns = self._last_stamp_ns = 0
         self._aside = False
 
     @property
@@ -61,32 +63,41 @@ class CScanAssembler:
         """Number of B-scans of the present C-scan, 0 when none has begun."""
         return self._received
 
-    def add(self, image: NDArray[Any], image2oct: NDArray[np.floating], stamp_ns: int) -> Volume | None:
+    @property
+    def last_stamp_ns(self) -> int:
+        """Acquisition time of the last B-scan that was taken."""
+        return self._last_stamp_ns
+
+    def add(self, image: NDArray[Any], image2oct: NDArray[np.floating], stamp_ns: int, form: str = "") -> Volume | None:
         """Take the next B-scan.
 
         Args:
             image: intensities [axial, lateral] of uint8, uint16 or float32; copied.
             image2oct: pose of the image frame in the OCT frame, 4x4, metres.
             stamp_ns: acquisition time in nanoseconds.
+            form: in which frame and layout the image was sent, in words; all of a C-scan must agree.
 
         Returns:
             The C-scan with the stamp of its B-scan 0 when this B-scan completes it, else None.
 
         Raises:
-            VolumeError: names the index of a B-scan of another size, type, direction or place, out of order, repeated
-                or late, and of those missing before it; or the complete C-scan is not a usable Volume. The partial
-                C-scan is dropped. Where B-scan 0 interrupts a C-scan, the new one has begun nevertheless.
+            VolumeError: names the index of a B-scan of another size, type, form, direction or place, out of order,
+                repeated or late, and of those missing before it; or the C-scan would have too many voxels; or the
+                complete C-scan is not a usable Volume. The partial C-scan is dropped. Where B-scan 0 interrupts a
+                C-scan, the new one has begun nevertheless.
         """
         pose = np.asarray(image2oct, dtype=np.float64)
         if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
             self._drop(f"expected a finite 4x4 pose of the B-scan, got {pose.tolist()}")
-        place = float(pose[1, 3]) / self._spacing_m[0]
-        if abs(place) > _PLACE_TOLERANCE and self._aside:
+        if self._aside and not self._places.begins(pose):
             return None
-        index = self._index(pose, place)
+        try:
+            index = self._places.index(pose)
+        except VolumeError as error:
+            self._drop(str(error))
         if index == 0:
             interrupted = self._received
-            self._begin(image, pose, stamp_ns)
+            self._begin(image, pose, stamp_ns, form)
             if interrupted:
                 raise VolumeError(
                     f"expected B-scan {interrupted} of {self._count}, got B-scan 0; "
@@ -95,76 +106,75 @@ class CScanAssembler:
             return None
         if self._voxels is None:
             self._drop(f"expected B-scan 0, which begins a C-scan, got B-scan {index}; waiting for a B-scan 0")
-        self._check(index, image, pose, stamp_ns)
+        self._check(index, self._voxels[0], image, stamp_ns, form)
         self._voxels[index] = image
+        self._places.take(pose)
         self._received += 1
         self._last_stamp_ns = stamp_ns
-        return self._finish() if self._received == self._count else None
+        return self._finish(self._voxels) if self._received == self._count else None
 
-    def _index(self, pose: NDArray[np.float64], place: float) -> int:
-        index = math.floor(place + 0.5)
-        if np.abs(pose[:3, :3] - IMAGE2OCT_ROTATION).max() > _ROTATION_TOLERANCE:
-            self._drop(
-                f"B-scan {index}: expected image axes x, y, z along lateral, axial and -bscan of the OCT frame, got "
-                f"{np.round(pose[:3, :3], 4).tolist()}; mirror a scan direction in the scanner's configuration instead"
-            )
-        if abs(place - index) > _PLACE_TOLERANCE:
-            self._drop(
-                f"expected B-scans every {self._spacing_m[0] * 1e6:g} um from y = 0, got one at y = "
-                f"{pose[1, 3] * 1e6:g} um, between the indices {math.floor(place)} and {math.floor(place) + 1}"
-            )
-        if not 0 <= index < self._count:
-            self._drop(f"expected B-scan indices 0 to {self._count - 1}, got {index} (y = {pose[1, 3] * 1e6:g} um)")
-        return index
+    def give_up(self) -> str | None:
+        """Drop the partial C-scan, for no further B-scan will come; return what is missing, None if nothing is."""
+        if not self._received:
+            return None
+        missing, last = self._received, self._count - 1
+        self._forget()
+        return f"expected B-scan {missing} of {self._count}, none came; missing: " + (
+            f"{missing}" if missing == last else f"{missing} to {last}"
+        )
 
-    def _begin(self, image: NDArray[Any], pose: NDArray[np.float64], stamp_ns: int) -> None:
+    def _begin(self, image: NDArray[Any], pose: NDArray[np.float64], stamp_ns: int, form: str) -> None:
+        self._forget()
         if image.ndim != 2 or min(image.shape) < 2 or image.dtype not in _DTYPES:
             self._drop(
                 "B-scan 0: expected an image [axial, lateral] of at least 2 x 2 uint8, uint16 or float32, "
                 f"got {image.shape} of {image.dtype}"
             )
-        self._voxels = np.empty((self._count, *image.shape), dtype=image.dtype)
+        shape = self._count, *image.shape
+        if self._largest is not None and math.prod(shape) > self._largest:
+            self._drop(
+                f"B-scan 0: expected C-scans of at most {self._largest:,} voxels, got the first of "
+                f"{' x '.join(map(str, shape))} = {math.prod(shape):,}; raise the limit if there is memory for them"
+            )
+        self._voxels = np.empty(shape, dtype=image.dtype)
         self._voxels[0] = image
-        self._received = 1
-        self._origin_m = (float(pose[0, 3]), float(pose[1, 3]), float(pose[2, 3]))
+        self._received, self._form = 1, form
+        self._places.take(pose)
         self._stamp_ns = self._last_stamp_ns = stamp_ns
         self._aside = False
 
-    def _check(self, index: int, image: NDArray[Any], pose: NDArray[np.float64], stamp_ns: int) -> None:
-        assert self._voxels is not None
+    def _check(self, index: int, first: NDArray[Any], image: NDArray[Any], stamp_ns: int, form: str) -> None:
         if index < self._received:
             self._drop(f"expected B-scan {self._received} of {self._count}, got B-scan {index} again")
         if index > self._received:
             missing = f"{self._received}" if index == self._received + 1 else f"{self._received} to {index - 1}"
             self._drop(f"expected B-scan {self._received} of {self._count}, got B-scan {index}; missing: {missing}")
-        first = self._voxels[0]
         if image.shape != first.shape or image.dtype != first.dtype:
             self._drop(
                 f"B-scan {index}: expected {first.shape} of {first.dtype} as in B-scan 0, "
                 f"got {image.shape} of {image.dtype}"
             )
-        shift = (float(pose[0, 3]) - self._origin_m[0], float(pose[2, 3]) - self._origin_m[2])
-        _, axial_m, lateral_m = self._spacing_m
-        if abs(shift[0]) > _PLACE_TOLERANCE * lateral_m or abs(shift[1]) > _PLACE_TOLERANCE * axial_m:
-            self._drop(
-                f"B-scan {index}: expected it where B-scan 0 begins, got it shifted by {shift[0] * 1e6:.2f} um "
-                f"laterally and {shift[1] * 1e6:.2f} um axially"
-            )
+        if form != self._form:
+            self._drop(f"B-scan {index}: expected an image sent as B-scan 0 was ({self._form}), got one {form}")
         if stamp_ns < self._last_stamp_ns:
             self._drop(
                 f"B-scan {index}: expected a stamp of at least {self._last_stamp_ns} ns, that of B-scan {index - 1}, "
                 f"got {stamp_ns} ns; it belongs to an older C-scan"
             )
 
-    def _finish(self) -> Volume:
-        voxels, stamp_ns = self._voxels, self._stamp_ns
-        assert voxels is not None
-        # Reset first: whatever the Volume says of the voxels, this C-scan is over.
+    def _finish(self, voxels: NDArray[Any]) -> Volume:
+        along, origin_m, stamp_ns = self._places.step_m, self._places.origin_m, self._stamp_ns
+        # Forgotten first: whatever the Volume says of the voxels, this C-scan is over.
+        self._forget()
+        assert along is not None  # two B-scans have told it
+        spacing_m = along, *self._in_plane_m
+        return Volume.from_array(voxels, spacing_m, intensity_scale=self._scale, origin_m=origin_m, stamp_ns=stamp_ns)
+
+    def _forget(self) -> None:
         self._voxels, self._received = None, 0
-        return Volume.from_array(
-            voxels, self._spacing_m, intensity_scale=self._scale, origin_m=self._origin_m, stamp_ns=stamp_ns
-        )
+        self._places.forget()
 
     def _drop(self, reason: str) -> NoReturn:
-        self._voxels, self._received, self._aside = None, 0, True
+        self._forget()
+        self._aside = True
         raise VolumeError(reason)

@@ -1,11 +1,13 @@
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from octn_ros.errors import VolumeError
 from octn_ros.simulation import PhantomConfig, Scanner, make_phantom
-from octn_ros.volume.assembly import CScanAssembler
+from octn_ros.volume.assembly import IMAGE2OCT_ROTATION, CScanAssembler
+from octn_ros.volume.subsampling import subsample_bscans
 from octn_ros.volume.volume import Volume
 
 COUNT = 6
@@ -77,6 +79,133 @@ def test_one_assembler_serves_scan_after_scan(assembler, bscans, volume):
     assert len(results) == 3
     assert results[0].array is not results[1].array
     assert assembler.received == 0
+
+
+@pytest.fixture
+def following(volume):
+    """An assembler that is not told how far B-scans lie apart."""
+    _, axial_m, lateral_m = volume.geometry.spacing_m
+    return CScanAssembler(COUNT, (None, axial_m, lateral_m))
+
+
+def test_the_step_comes_from_the_poses_where_it_is_not_stated(following, bscans, volume):
+    result = feed(following, bscans)[-1]
+    np.testing.assert_array_equal(result.array, volume.array)
+    assert result.geometry == volume.geometry
+
+
+def test_the_poses_tell_the_step_of_a_subsampled_scan(following, volume):
+    dense = make_phantom(PhantomConfig(shape=(4 * COUNT, 20, 12))).volume
+    sparse = subsample_bscans(dense, 4).volume
+    kept = list(Scanner(dense).bscans(0, 10))[::4]
+    result = feed(following, kept)[-1]
+    assert result.geometry == sparse.geometry
+    np.testing.assert_array_equal(result.array, sparse.array)
+    stated = CScanAssembler(COUNT, dense.geometry.spacing_m)
+    with pytest.raises(VolumeError, match="missing: 1 to 3"):
+        feed(stated, kept)
+
+
+def test_every_scan_tells_its_own_step(following, bscans):
+    steps = [1.0, 1.5, 0.25]
+    scans = [[moved(s, y=(factor - 1.0) * s.image2oct[1, 3]) for s in bscans] for factor in steps]
+    results = [feed(following, scan)[-1].geometry.spacing_m[0] for scan in scans]
+    np.testing.assert_allclose(results, [28e-6 * factor for factor in steps], rtol=1e-9)
+
+
+def test_poses_that_jitter_give_their_mean_step(volume):
+    count, jitter = 200, 0.02
+    generator = np.random.default_rng(3)
+    images = generator.integers(0, 255, (count, 4, 5), dtype=np.uint8)
+    wide = Volume.from_array(images, volume.geometry.spacing_m)
+    scans = list(Scanner(wide).bscans(0, 1))
+    noisy = [moved(s, y=28e-6 * jitter * generator.uniform(-1, 1)) if s.index else s for s in scans]
+    result = feed(CScanAssembler(count, (None, *volume.geometry.spacing_m[1:])), noisy)[-1]
+    assert abs(result.geometry.spacing_m[0] - 28e-6) <= 28e-6 * jitter / (count - 1)
+    np.testing.assert_array_equal(result.array, images)
+
+
+FOLLOWING_FAULTS = {
+    "first dropped": (lambda s: s[1:], "expected B-scan 0, which begins a C-scan, at y = 0, got one at y = 28 um"),
+    "second dropped": (lambda s: [s[0], *s[2:]], "between the indices 1 and 2; missing: 1, if B-scans lie 28 um"),
+    "two dropped": (lambda s: [s[0], *s[3:]], "missing: 1 to 2, if B-scans lie 28 um apart"),
+    "dropped later": (lambda s: [*s[:3], *s[4:]], "expected B-scan 3 of 6, got B-scan 4; missing: 3"),
+    "repeated": (lambda s: [*s[:2], s[1], *s[2:]], "expected B-scan 2 of 6, got B-scan 1 again"),
+    "uneven": (lambda s: [*s[:3], moved(s[3], y=10e-6), *s[4:]], "got one at y = 94 um, between the indices 3 and 4"),
+    "backwards": (lambda s: [s[0], moved(s[1], y=-80e-6)], "expected B-scan 1 beyond y = 0, got one at y = -52 um"),
+}
+
+
+@pytest.mark.parametrize("fault", FOLLOWING_FAULTS)
+def test_faults_are_found_without_a_stated_step(following, bscans, volume, fault):
+    spoil, message = FOLLOWING_FAULTS[fault]
+    with pytest.raises(VolumeError, match=message):
+        feed(following, spoil(bscans))
+    assert following.received == 0
+    np.testing.assert_array_equal(feed(following, bscans)[-1].array, volume.array)
+
+
+@pytest.mark.parametrize("dropped", range(COUNT))
+@pytest.mark.parametrize("stated", [True, False])
+def test_no_scan_with_a_dropped_bscan_is_ever_complete(following, assembler, bscans, dropped, stated):
+    used, errors = assembler if stated else following, []
+    for scan in [*bscans[:dropped], *bscans[dropped + 1 :], bscans[0]]:
+        try:
+            assert used.add(scan.image, scan.image2oct, scan.stamp_ns) is None
+        except VolumeError as error:
+            errors.append(str(error))
+    assert len(errors) == 1
+    number = 0 if dropped == 0 else dropped
+    assert f"missing: {number}" in errors[0] or f"expected B-scan {number}" in errors[0]
+
+
+def test_images_sent_in_another_form_are_alien(assembler, bscans):
+    for scan in bscans[:2]:
+        assembler.add(scan.image, scan.image2oct, scan.stamp_ns, "probe")
+    with pytest.raises(VolumeError, match=r"B-scan 2: expected .* \(probe\), got one camera"):
+        assembler.add(bscans[2].image, bscans[2].image2oct, bscans[2].stamp_ns, "camera")
+
+
+def test_a_scan_of_too_many_voxels_is_refused_at_its_first_bscan(bscans, volume):
+    voxels = volume.array.size
+    tight = CScanAssembler(COUNT, volume.geometry.spacing_m, largest_voxels=voxels - 1)
+    for _ in range(2):
+        with pytest.raises(VolumeError, match=f"at most {voxels - 1:,} voxels, got the first of 6 x 60 x 20"):
+            tight.add(bscans[0].image, bscans[0].image2oct, 0)
+        assert feed(tight, bscans[1:]) == [None] * (COUNT - 1), "the rest of it is left aside"
+    roomy = CScanAssembler(COUNT, volume.geometry.spacing_m, largest_voxels=voxels)
+    assert feed(roomy, bscans)[-1] is not None
+
+
+def test_a_scan_that_ends_early_is_given_up_with_what_is_missing(assembler, bscans, volume):
+    assert assembler.give_up() is None
+    feed(assembler, bscans[:-1])
+    assert assembler.give_up() == "expected B-scan 5 of 6, none came; missing: 5"
+    feed(assembler, bscans[:2])
+    assert assembler.give_up() == "expected B-scan 2 of 6, none came; missing: 2 to 5"
+    assert assembler.give_up() is None
+    with pytest.raises(VolumeError, match="got B-scan 5; waiting for a B-scan 0"):
+        feed(assembler, bscans[-1:])
+    np.testing.assert_array_equal(feed(assembler, bscans)[-1].array, volume.array)
+
+
+def test_a_scan_of_67_million_voxels_is_assembled_in_one_copy_of_it():
+    """256 images of 512 x 512: what is allocated in all stays below half a C-scan beyond the C-scan itself."""
+    image = np.arange(512 * 512, dtype=np.uint32).astype(np.uint8).reshape(512, 512)
+    pose = np.eye(4)
+    pose[:3, :3] = IMAGE2OCT_ROTATION
+    tracemalloc.start()
+    try:
+        assembler, result = CScanAssembler(256, (None, 4e-6, 10e-6)), None
+        for index in range(256):
+            pose[1, 3] = index * 10e-6
+            result = assembler.add(image, pose, index)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert result.array.size == 1 << 26
+    assert peak < 1.5 * result.array.nbytes
+    assert (result.array[::51] == image).all()
 
 
 FAULTS = {
