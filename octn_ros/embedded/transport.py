@@ -40,7 +40,8 @@ class Bus:
 class Endpoint:
     """An announced entity: a node, or one of its publishers, subscriptions, services, clients.
 
-    The token is declared last and withdrawn first, so whoever sees it also reaches what is behind it.
+    The token is declared last and withdrawn first, so whoever sees it also reaches what is behind it. May be used and
+    closed from several threads.
     """
 
     def __init__(self, bus: Bus, node: Endpoint | None, token: Token, qos: Any = None, inbox: Any = None) -> None:
@@ -51,6 +52,7 @@ class Endpoint:
         self.token_key = token.key(bus.domain_id, bus.session_id, self.node_id, self.id)
         self.gid = wire.gid(self.token_key)
         self._sequence = itertools.count(1)
+        self._lock = Lock()  # a Zenoh object that one thread withdraws must not be in use by another
         self._open = True
         self._declared = self._declare()
         self._liveliness = bus.session.liveliness().declare_token(self.token_key)
@@ -75,12 +77,16 @@ class Endpoint:
         return len(self.bus.graph.entities(kind, self.token.name))
 
     def close(self) -> None:
-        """Withdraw the entity; doing so twice, or after the bus was closed, is harmless."""
-        if self._open and not self.bus.session.is_closed():
-            self._liveliness.undeclare()
-            if self._declared is not None:
-                self._declared.undeclare()
-        self._open = False
+        """Withdraw the entity; doing so twice, or after the bus was closed, is harmless.
+
+        Waits for a message that another thread is just sending.
+        """
+        with self._lock:
+            if self._open and not self.bus.session.is_closed():
+                self._liveliness.undeclare()
+                if self._declared is not None:
+                    self._declared.undeclare()
+            self._open = False
 
 
 def announce_node(bus: Bus, path: str) -> Endpoint:
@@ -105,7 +111,6 @@ class PublisherEndpoint(_TopicEndpoint):
     kind = wire.PUBLISHER
 
     def _declare(self) -> Any:
-        self._lock = Lock()
         control = zenoh.CongestionControl
         # As rmw_zenoh: only keep-all waits for slow readers, else one stuck reader would stop its writers.
         blocks = self.reliable and self.qos.history == wire.KEEP_ALL
@@ -126,10 +131,19 @@ class PublisherEndpoint(_TopicEndpoint):
         )
 
     def put(self, data: bytes) -> None:
-        """Send `data`; numbers go out in order also when several threads send."""
-        self.check_open()
+        """Send `data`; numbers go out in order also when several threads send.
+
+        Raises:
+            InvalidHandle: the publisher was destroyed.
+            RCLError: its context was shut down, be it while the message was on its way.
+        """
         with self._lock:
-            self._declared.put(data, attachment=self.attachment())
+            self.check_open()
+            try:
+                self._declared.put(data, attachment=self.attachment())
+            except zenoh.ZError:
+                self.check_open()
+                raise
 
 
 class SubscriptionEndpoint(_TopicEndpoint):
