@@ -10,11 +10,13 @@ from octn_ros.errors import CheckpointError
 from octn_ros.field import (
     FieldDescription,
     HashGridConfig,
+    InterpolatedField,
     NetworkConfig,
     NeuralField,
     NeuralFieldConfig,
     NeuralModel,
     dumps_field,
+    dumps_volume,
     field_hash,
     load_field,
     loads_field,
@@ -153,3 +155,10 @@ def test_a_failed_write_leaves_the_old_file(field, tmp_path, monkeypatch):
 def dataclasses_replaced(field):
     description = dataclasses.replace(field.description, stamp_ns=1)
     return NeuralField(field.model, field.config, description)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_a_volumes_bytes_are_those_of_the_field_through_it(dtype):
+    array = np.random.default_rng(1).integers(0, 250, (5, 6, 7)).astype(dtype)
+    volume = Volume.from_array(array, (28e-6, 14e-6, 14e-6), intensity_scale="log", stamp_ns=7)
+    assert dumps_volume(volume) == dumps_field(InterpolatedField(volume))
