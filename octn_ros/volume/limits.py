@@ -27,9 +27,11 @@ class ReadLimit:
     Attributes:
         max_bytes: the most bytes that the voxels may take in memory. None: 4 GiB, and for compressed data no more
             than a hundred times the size of the file (256 MiB are always allowed).
+        max_voxels: the most voxels; None for any number.
     """
 
     max_bytes: int | None = None
+    max_voxels: int | None = None
 
     def check(self, claimed: int, stored: int, *, compressed: bool, kept: int = 0) -> None:
         """Refuse a claim before anything is allocated for it.
@@ -76,6 +78,11 @@ class ReadLimit:
         if dtype.kind not in "uif":
             raise VolumeError(f"expected real intensities, got type {dtype}")
         voxels = math.prod(shape)
+        if self.max_voxels is not None and voxels > self.max_voxels:
+            raise VolumeError(
+                f"expected at most {self.max_voxels:,} voxels, the header claims {' x '.join(map(str, shape))} = "
+                f"{voxels:,}; cut the scan, or raise the limit if there is memory for it"
+            )
         kept = voxels * kept_type(dtype).itemsize
         self.check(voxels * dtype.itemsize, stored, compressed=compressed, kept=kept)
 

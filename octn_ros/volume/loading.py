@@ -69,6 +69,7 @@ def load_volume(
     normalisation: Normalisation | None = None,
     variable: str | None = None,
     max_bytes: int | None = None,
+    max_voxels: int | None = None,
 ) -> Volume:
     """Read a C-scan from a file, or from a folder of numbered B-scan images; docs/volumes.md has the formats.
 
@@ -83,6 +84,7 @@ def load_volume(
             type, or [0, 1] for floats that lie in it, or else the smallest and the largest float.
         variable: name of the array in .npz, MATLAB and HDF5 files that hold several, or of the volume in a vendor's.
         max_bytes: the most bytes the voxels may take; None as `ReadLimit` has it.
+        max_voxels: the most voxels; None for any number.
 
     Raises:
         VolumeError: the file is missing, empty, damaged, of no known format or too large, its spacing is unstated and
@@ -95,7 +97,7 @@ def load_volume(
     if intensity_scale is not None and intensity_scale not in INTENSITY_SCALES:
         raise VolumeError(f"expected an intensity scale of {', '.join(INTENSITY_SCALES)}, got {intensity_scale!r}")
     with _blaming(path):
-        raw = _reader(path)(path, ReadRequest(ReadLimit(max_bytes), variable))
+        raw = _reader(path)(path, ReadRequest(ReadLimit(max_bytes, max_voxels), variable))
         spacing_m = _spacing_m(raw, order, spacing_um)
         voxels = raw.read_voxels()
         if voxels.ndim != 3:

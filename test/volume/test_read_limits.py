@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from octn_ros.errors import VolumeError
-from octn_ros.volume import load_volume
+from octn_ros.volume import Volume, load_volume, save_volume
 from octn_ros.volume.limits import DEFAULT_MAX_BYTES, ReadLimit, check_deflated
 
 SPACING_UM = (28.0, 14.0, 14.0)
@@ -39,6 +39,18 @@ def test_a_limit_in_bytes_is_kept(tmp_path):
     load_volume(tmp_path / "scan.npy", SPACING_UM, max_bytes=24_000)  # 6,000 voxels that become single floats
     with pytest.raises(VolumeError, match="expected at most 23,999 bytes of voxels, the header claims 24,000"):
         load_volume(tmp_path / "scan.npy", SPACING_UM, max_bytes=23_999)
+
+
+@pytest.mark.parametrize("name", ["scan.npy", "scan.npz", "scan.nii", "scan.tif"])
+def test_a_limit_in_voxels_is_kept_before_anything_is_read(tmp_path, name):
+    array = np.arange(6000, dtype=np.uint8).reshape(10, 20, 30)
+    if name == "scan.npy":
+        np.save(tmp_path / name, array)
+    else:
+        save_volume(tmp_path / name, Volume.from_array(array, (28e-6, 14e-6, 14e-6)))
+    assert load_volume(tmp_path / name, SPACING_UM, max_voxels=6000).array.size == 6000
+    with pytest.raises(VolumeError, match=r"at most 5,999 voxels, the header claims .* = 6,000"):
+        load_volume(tmp_path / name, SPACING_UM, max_voxels=5999)
 
 
 @pytest.mark.parametrize(
