@@ -5,11 +5,13 @@ Every function is pure and thread-safe. Lengths are metres, times nanoseconds, q
 
 from octn_ros.field import FORMAT
 from octn_ros.nodes.conversions.buffers import shortest_decimal, to_bytes_field
-from octn_ros.nodes.conversions.clouds import to_cloud
+from octn_ros.nodes.conversions.clouds import cloud_to_points, table, to_cloud
+from octn_ros.nodes.conversions.encoded_poses import encode_path, encode_pose_array
 from octn_ros.nodes.conversions.fields import field_data, to_field_message
-from octn_ros.nodes.conversions.grids import LARGEST_GRID, to_grid
+from octn_ros.nodes.conversions.grids import LARGEST_GRID, GridView, grid_to_view, picture_to_grid, to_grid
 from octn_ros.nodes.conversions.headers import header, stamp_to_ns
-from octn_ros.nodes.conversions.images import image_to_array, to_image
+from octn_ros.nodes.conversions.images import image_to_array, to_colour_image, to_image
+from octn_ros.nodes.conversions.markers import dot_marker, line_marker, to_marker_array
 from octn_ros.nodes.conversions.poses import (
     matrix_to_pose_stamped,
     pose_to_matrix,
@@ -23,20 +25,31 @@ __all__ = [
     "FORMAT",
     "LARGEST_GRID",
     "TOOL_PATH",
+    "GridView",
+    "cloud_to_points",
     "cloud_to_tool_path",
+    "dot_marker",
+    "encode_path",
+    "encode_pose_array",
     "field_data",
+    "grid_to_view",
     "header",
     "image_to_array",
+    "line_marker",
     "matrix_to_pose_stamped",
+    "picture_to_grid",
     "pose_to_matrix",
     "poses_to_matrices",
     "shortest_decimal",
     "stamp_to_ns",
+    "table",
     "to_bytes_field",
     "to_cloud",
+    "to_colour_image",
     "to_field_message",
     "to_grid",
     "to_image",
+    "to_marker_array",
     "to_path",
     "to_pose_array",
     "tool_path",

@@ -1,4 +1,4 @@
-"""B-scan images to arrays and back."""
+"""B-scans, slices and coloured pictures to image messages, and B-scans back."""
 
 from __future__ import annotations
 
@@ -40,6 +40,20 @@ def to_image(pixels: NDArray[Any], stamp_ns: int, frame: str) -> Image:
         is_bigendian=int(sys.byteorder == "big"),
         step=data.strides[0],
         data=to_bytes_field(data.tobytes()),
+    )
+
+
+def to_colour_image(pixels: NDArray[np.uint8], stamp_ns: int, frame: str) -> Image:
+    """Return a picture [rows, columns, (red, green, blue)] as an image."""
+    height, width, _ = pixels.shape
+    return Image(
+        header=header(stamp_ns, frame),
+        height=height,
+        width=width,
+        encoding="rgb8",
+        is_bigendian=0,
+        step=3 * width,
+        data=to_bytes_field(np.ascontiguousarray(pixels).tobytes()),
     )
 
 
