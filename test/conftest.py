@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import socket
+import uuid
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,6 +32,23 @@ def _own_graph() -> None:
 if "OCTN_RENDEZVOUS_PORT" not in os.environ:
     _own_graph()
 embedded.install()  # from here on the tests may import rclpy and the message packages
+
+
+def _own_home(folder: Path) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("ROS_HOME", str(folder / f"ros_home_{uuid.uuid4().hex}"))
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _ros_home_of_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """No node finds what another one has kept, in the user's home least of all."""
+    yield from _own_home(tmp_path_factory.getbasetemp())
+
+
+@pytest.fixture(autouse=True)
+def _ros_home_of_test(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    yield from _own_home(tmp_path_factory.getbasetemp())
 
 
 @pytest.fixture

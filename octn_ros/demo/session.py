@@ -152,7 +152,7 @@ def _parameters(source: ScanSource, fit_parameters: Mapping[str, Any]) -> dict[s
     }
     return {
         "simulator": {**source.simulator_parameters, "time_factor": TIME_FACTOR},
-        "trainer": {**scan, **fit_parameters},
+        "trainer": {"field_path": "", **scan, **fit_parameters},
     }
 
 

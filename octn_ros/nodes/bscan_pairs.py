@@ -5,24 +5,47 @@ from __future__ import annotations
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Image
 
+from octn_ros.errors import VolumeError
 from octn_ros.nodes.conversions import stamp_to_ns
+
+_MOST_POSES = 100_000  # that wait for their images: more than any C-scan has B-scans
 
 
 class BScanPairs:
-    """Joins two topics whose messages come in order each, but not together. For one thread at a time."""
+    """Joins two topics whose messages come in order each, but not together. For one thread at a time.
 
-    def __init__(self) -> None:
+    Args:
+        largest_bytes: of the images that may wait for their poses.
+    """
+
+    def __init__(self, largest_bytes: int) -> None:
+        self._largest_bytes = largest_bytes
         self._images: dict[int, Image] = {}
         self._poses: dict[int, PoseStamped] = {}
 
     def add_image(self, image: Image) -> tuple[Image, PoseStamped] | None:
-        """Take an image; return it with its pose if that is here."""
+        """Take an image; return it with its pose if that is here.
+
+        Raises:
+            VolumeError: so many images wait for poses that memory would run out; all of them are forgotten.
+        """
         self._images[stamp_to_ns(image.header.stamp)] = image
-        return self._join(stamp_to_ns(image.header.stamp))
+        pair = self._join(stamp_to_ns(image.header.stamp))
+        waiting = sum(len(kept.data) for kept in self._images.values())
+        if waiting > self._largest_bytes:
+            count = len(self._images)
+            self._images.clear()
+            raise VolumeError(
+                f"expected a bscan_pose of equal stamp for every image on bscan, got none for {count} images of "
+                f"{waiting:,} bytes; they are dropped. Is bscan_pose published, with the stamps of the images?"
+            )
+        return pair
 
     def add_pose(self, pose: PoseStamped) -> tuple[Image, PoseStamped] | None:
         """Take a pose; return it with its image if that is here."""
         self._poses[stamp_to_ns(pose.header.stamp)] = pose
+        if len(self._poses) > _MOST_POSES:
+            del self._poses[next(iter(self._poses))]
         return self._join(stamp_to_ns(pose.header.stamp))
 
     def _join(self, stamp_ns: int) -> tuple[Image, PoseStamped] | None:

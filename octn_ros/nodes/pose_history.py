@@ -1,7 +1,8 @@
-"""Where the end effector was: its recent poses, looked up by time."""
+"""Where the end effector was: its recent poses, looked up by time, and how far it moved meanwhile."""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from dataclasses import dataclass
@@ -27,6 +28,19 @@ class StampedPose:
     frame: str
 
 
+@dataclass(frozen=True)
+class Motion:
+    """How far the end effector was away from a pose, at most.
+
+    Attributes:
+        translation_m: largest distance from the place of that pose.
+        rotation_rad: largest angle from its orientation.
+    """
+
+    translation_m: float
+    rotation_rad: float
+
+
 class PoseHistory:
     """The last poses, looked up by their stamps; safe from any thread."""
 
@@ -46,3 +60,36 @@ class PoseHistory:
         if found is None or abs(found.stamp_ns - stamp_ns) > largest_gap_s * 1e9:
             return None
         return found
+
+    def heard_until(self, stamp_ns: int) -> bool:
+        """Return whether a pose of this time or later has come."""
+        with self._lock:
+            return any(kept.stamp_ns >= stamp_ns for kept in reversed(self._poses))
+
+    def motion(self, start_ns: int, end_ns: int, largest_gap_s: float) -> Motion | None:
+        """Return how far the end effector moved in a stretch of time from where it was at its start.
+
+        Where fewer than two poses were taken in the stretch, the first one after it counts too.
+
+        Returns:
+            None if no pose was taken within `largest_gap_s` of the start, so that nobody knows.
+        """
+        start = self.nearest(start_ns, largest_gap_s)
+        if start is None:
+            return None
+        with self._lock:
+            poses = sorted((p for p in self._poses if p.frame == start.frame), key=lambda kept: kept.stamp_ns)
+        meanwhile = [p for p in poses if start_ns <= p.stamp_ns <= end_ns]
+        after = [p for p in poses if end_ns < p.stamp_ns <= end_ns + largest_gap_s * 1e9]
+        if len(meanwhile) < 2:
+            meanwhile += after[:1]
+        return Motion(
+            max((float(np.linalg.norm(p.ee2base[:3, 3] - start.ee2base[:3, 3])) for p in meanwhile), default=0.0),
+            max((_angle_rad(p.ee2base, start.ee2base) for p in meanwhile), default=0.0),
+        )
+
+
+def _angle_rad(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Return the angle between two orientations, exact for small ones, which the trace is not."""
+    apart = float(np.linalg.norm(a[:3, :3] - b[:3, :3]))
+    return 2.0 * math.asin(min(apart / math.sqrt(8.0), 1.0))

@@ -23,11 +23,20 @@ STREAM = QoSProfile(
 _SMALLEST_SCAN_DEPTH = 1024  # more than the B-scans of any C-scan in the paper; the queue is only filled when needed
 
 
-def scan_profile(bscan_count: int) -> QoSProfile:
-    """Return the profile of `bscan` and `bscan_pose`: reliable, and a whole C-scan fits into the queue."""
+RELIABILITIES = ("reliable", "best_effort")
+
+
+def scan_profile(bscan_count: int, reliability: str = "reliable") -> QoSProfile:
+    """Return the profile of `bscan` and `bscan_pose`: a whole C-scan fits into the queue.
+
+    Args:
+        bscan_count: B-scans of a C-scan, 0 if unknown.
+        reliability: one of `RELIABILITIES`. A reliable subscriber hears nothing from a best-effort scanner.
+    """
+    best_effort = reliability == "best_effort"
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=max(bscan_count, _SMALLEST_SCAN_DEPTH),
-        reliability=ReliabilityPolicy.RELIABLE,
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.VOLATILE,
     )

@@ -44,21 +44,28 @@ class Worker:
         with self._condition:
             return self._stop is not None or self._waiting is not None
 
-    def submit(self, job: Job) -> bool:
-        """Run a job now, or after the present one in place of any that waits; return whether it has to wait."""
+    def submit(self, job: Job, *, restart: bool = False) -> bool:
+        """Run a job now, or after the present one in place of any that waits; return whether it has to wait.
+
+        Args:
+            job: what to run.
+            restart: ask the running job to end, so that this one soon begins.
+        """
         with self._condition:
             self._waiting = job
+            if restart and self._stop is not None:
+                self._stop.set()
             self._condition.notify()
             return self._stop is not None
 
-    def cancel(self) -> bool:
-        """Ask the running job to end and forget the waiting one; return whether there was any."""
+    def cancel(self) -> int:
+        """Ask the running job to end and forget the waiting one; return how many there were, 0 to 2."""
         with self._condition:
-            any_job = self._stop is not None or self._waiting is not None
+            jobs = (self._stop is not None) + (self._waiting is not None)
             self._waiting = None
             if self._stop is not None:
                 self._stop.set()
-            return any_job
+            return jobs
 
     def close(self, timeout_s: float) -> None:
         """Cancel everything, take no more jobs, and wait at most `timeout_s` for the running one to end."""

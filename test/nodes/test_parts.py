@@ -82,7 +82,7 @@ def stamped(kind: type, stamp_ns: int) -> Image | PoseStamped:
 
 
 def test_images_and_poses_meet_whichever_comes_first() -> None:
-    pairs = BScanPairs()
+    pairs = BScanPairs(1)
     assert pairs.add_image(stamped(Image, 1)) is None
     assert pairs.add_image(stamped(Image, 2)) is None
     image, pose = pairs.add_pose(stamped(PoseStamped, 1))

@@ -13,79 +13,22 @@ from typing import Any
 import nibabel
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import LoadMap
 from PIL import Image as PngImage
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
-from sensor_msgs.msg import CompressedImage, Image
-from std_srvs.srv import Trigger
+from sensor_msgs.msg import CompressedImage
 
-from octn_ros.field import InterpolatedField, field_hash, loads_field
-from octn_ros.nodes import conversions, qos, status, trainer
-from octn_ros.nodes.trainer import Trainer
+from octn_ros.field import dumps_volume, field_hash, loads_field
+from octn_ros.nodes import conversions, field_fitter, present_scan, status
 from octn_ros.planning import from_translation_quaternion
-from octn_ros.simulation import PhantomConfig, Scanner, make_phantom
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.volume import Volume, save_volume
+from octn_ros.volume.assembly import CScanAssembler
 
 TIMEOUT_S = 30.0
 SHAPE = (6, 24, 16)
 SPACING_UM = [28.0, 14.59, 14.0]
 SPACING_M = tuple(s * 1e-6 for s in SPACING_UM)
-FIT = {
-    "fit__steps": 5,
-    "fit__batch": 256,
-    "fit__time_budget_s": 0.0,
-    "fit__field__grid__log2_table_size": 10,
-    "device": "cpu",
-}
 BASE = "base_link"
-
-
-@pytest.fixture(scope="module")
-def volume() -> Volume:
-    return make_phantom(PhantomConfig(shape=SHAPE, spacing_m=SPACING_M, surface="flat")).volume
-
-
-class Bench:
-    """The trainer and a client that plays the scanner."""
-
-    def __init__(self, spin: Callable[..., Any], client: Any, **parameters: Any) -> None:
-        self.client = client
-        self.progress = client.watch(DiagnosticArray, "fit_progress", qos.STREAM)
-        self.field = client.watch(CompressedImage, "field")
-        self.enface = client.watch(OccupancyGrid, "enface")
-        self.scan_ee_pose = client.watch(PoseStamped, "scan_ee_pose")
-        profile = qos.scan_profile(SHAPE[0])
-        self.bscan = client.node.create_publisher(Image, "bscan", profile)
-        self.bscan_pose = client.node.create_publisher(PoseStamped, "bscan_pose", profile)
-        self.ee_pose = client.node.create_publisher(PoseStamped, "ee_pose", qos.STREAM)
-        spin(Trainer, **(FIT | parameters))
-        self.progress.wait_matched(TIMEOUT_S)
-        for publisher in (self.bscan, self.bscan_pose, self.ee_pose):
-            client.wait_for(lambda publisher=publisher: publisher.get_subscription_count() > 0, TIMEOUT_S, "trainer")
-
-    def load(self, url: str) -> Any:
-        return self.client.call(LoadMap, "load_cscan", LoadMap.Request(map_url=url), TIMEOUT_S)
-
-    def scan(self, volume: Volume, start_ns: int, *, skip: int = -1, frame: str = "oct_optical_frame") -> None:
-        for bscan in Scanner(volume).bscans(start_ns, 1_000_000):
-            if bscan.index != skip:
-                self.bscan.publish(conversions.to_image(bscan.image, bscan.stamp_ns, "oct_bscan_frame"))
-                self.bscan_pose.publish(conversions.matrix_to_pose_stamped(bscan.image2oct, bscan.stamp_ns, frame))
-
-    def pose_told(self, stamp_ns: int) -> Any:
-        """Return the latest pose of the scan as it is published."""
-        self.scan_ee_pose.wait(TIMEOUT_S)
-        message = self.scan_ee_pose.messages[-1]
-        assert message.header == conversions.header(stamp_ns, BASE)
-        return conversions.pose_to_matrix(message.pose)
-
-    def until(self, *words: str) -> Any:
-        return self.progress.wait(TIMEOUT_S, lambda message: all(word in status.read(message)[1] for word in words))
 
 
 def kind_of(message: CompressedImage) -> str:
@@ -97,9 +40,9 @@ def is_neural(message: CompressedImage) -> bool:
 
 
 def test_a_file_becomes_an_en_face_view_and_a_field_at_once_and_then_a_fitted_one(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path
 ) -> None:
-    bench = Bench(spin, client)
+    bench = trainer_bench()
     path = tmp_path / "a scan.nii.gz"
     save_volume(path, volume)
     answer = bench.load(path.as_uri())
@@ -124,34 +67,31 @@ def test_a_file_becomes_an_en_face_view_and_a_field_at_once_and_then_a_fitted_on
 
 
 def test_a_file_without_spacing_takes_the_parameter_or_is_refused(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path
 ) -> None:
     path = tmp_path / "unstated.nii"
     nibabel.save(nibabel.Nifti1Image(volume.array, np.eye(4)), path)
-    bench = Bench(spin, client)
+    bench = trainer_bench()
     assert bench.load(str(path)).result == LoadMap.Response.RESULT_INVALID_MAP_DATA
     bench.until("load_cscan refused", "spacing")
-    request = SetParameters.Request(parameters=[Parameter("spacing_um", value=SPACING_UM).to_parameter_msg()])
-    assert client.call(SetParameters, "trainer/set_parameters", request, TIMEOUT_S).results[0].successful
+    assert bench.set("spacing_um", SPACING_UM).successful
     answer = bench.load(str(path))
     assert answer.result == LoadMap.Response.RESULT_SUCCESS
     assert answer.map.info.resolution == pytest.approx(14e-6)
 
 
-def test_a_folder_of_images_is_a_scan_too(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
-) -> None:
+def test_a_folder_of_images_is_a_scan_too(trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path) -> None:
     for number, bscan in enumerate(volume.array):
         PngImage.fromarray(bscan).save(tmp_path / f"bscan_{number}.png")
-    bench = Bench(spin, client, spacing_um=SPACING_UM)
+    bench = trainer_bench(spacing_um=SPACING_UM)
     assert bench.load(tmp_path.as_uri()).result == LoadMap.Response.RESULT_SUCCESS
     assert loads_field(conversions.field_data(bench.field.wait(TIMEOUT_S))).geometry.shape == SHAPE
 
 
 def test_files_that_cannot_be_used_are_refused_in_words(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path
 ) -> None:
-    bench = Bench(spin, client)
+    bench = trainer_bench()
     missing, invalid = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST, LoadMap.Response.RESULT_INVALID_MAP_DATA
     good = tmp_path / "good.nii"
     save_volume(good, volume)
@@ -174,8 +114,8 @@ def test_files_that_cannot_be_used_are_refused_in_words(
     assert bench.load(str(good)).result == LoadMap.Response.RESULT_SUCCESS, "the node lives on"
 
 
-def test_bscans_become_a_field_with_the_pose_of_the_arm(spin: Callable[..., Any], client: Any, volume: Volume) -> None:
-    bench = Bench(spin, client, bscan_count=SHAPE[0], spacing_um=SPACING_UM)
+def test_bscans_become_a_field_with_the_pose_of_the_arm(trainer_bench: Callable[..., Any], volume: Volume) -> None:
+    bench = trainer_bench(bscan_count=SHAPE[0], spacing_um=SPACING_UM)
     start_ns = 5_000_000_000
     ee2base = from_translation_quaternion((0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0))
     for offset_ns, pose in ((-900_000_000, np.eye(4)), (20_000_000, ee2base), (900_000_000, np.eye(4))):
@@ -188,9 +128,9 @@ def test_bscans_become_a_field_with_the_pose_of_the_arm(spin: Callable[..., Any]
 
 
 def test_a_nearer_pose_is_published_when_it_comes_whether_or_not_a_fit_ends(
-    spin: Callable[..., Any], client: Any, volume: Volume
+    trainer_bench: Callable[..., Any], volume: Volume
 ) -> None:
-    bench = Bench(spin, client, bscan_count=SHAPE[0], spacing_um=SPACING_UM)
+    bench = trainer_bench(bscan_count=SHAPE[0], spacing_um=SPACING_UM)
     start_ns = 5_000_000_000
     far, near = (from_translation_quaternion((x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for x in (0.3, 0.1))
     bench.scan(volume, start_ns)
@@ -208,16 +148,16 @@ def test_a_nearer_pose_is_published_when_it_comes_whether_or_not_a_fit_ends(
 
 
 def test_what_goes_wrong_with_a_scan_is_said_and_the_node_lives_on(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(spin, client, bscan_count=SHAPE[0], spacing_um=SPACING_UM)
+    bench = trainer_bench(bscan_count=SHAPE[0], spacing_um=SPACING_UM)
     save_volume(tmp_path / "scan.nii", volume)
 
     def out_of_memory(*arguments: Any, **options: Any) -> bytes:
         raise RuntimeError("CUDA out of memory")
 
     with monkeypatch.context() as patched:
-        patched.setattr(trainer, "InterpolatedField", out_of_memory)
+        patched.setattr(present_scan, "dumps_volume", out_of_memory)
         bench.scan(volume, 1_000_000_000)
         bench.until("C-scan dropped: RuntimeError: CUDA out of memory")
         answer = bench.load(str(tmp_path / "scan.nii"))
@@ -225,9 +165,9 @@ def test_what_goes_wrong_with_a_scan_is_said_and_the_node_lives_on(
         assert not answer.map.data
         bench.until("load_cscan failed: RuntimeError: CUDA out of memory")
     assert not bench.field.messages
-    assert not client.call(Trigger, "refit", Trigger.Request(), TIMEOUT_S).success, "no scan has been taken"
+    assert not bench.trigger("refit").success, "no scan has been taken"
     with monkeypatch.context() as patched:
-        patched.setattr(trainer, "field_hash", out_of_memory)  # the last thing that a fit does
+        patched.setattr(field_fitter, "dumps_field", out_of_memory)  # once the fit is done
         bench.load(str(tmp_path / "scan.nii"))
         bench.until("fit failed: CUDA out of memory")
     bench.load(str(tmp_path / "scan.nii"))
@@ -235,31 +175,31 @@ def test_what_goes_wrong_with_a_scan_is_said_and_the_node_lives_on(
 
 
 def test_the_last_scan_to_come_is_the_last_to_be_published(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The file's scan comes first and takes long to make ready; B-scans complete another one meanwhile."""
-    bench = Bench(spin, client, bscan_count=SHAPE[0], spacing_um=SPACING_UM)
+    bench = trainer_bench(bscan_count=SHAPE[0], spacing_um=SPACING_UM)
     path, scan_ns = tmp_path / "scan.nii", 5_000_000_000
     save_volume(path, volume)
     started, assembled = threading.Event(), threading.Event()
 
-    def slow(volume: Volume) -> InterpolatedField:
+    def slow(volume: Volume) -> bytes:
         if volume.stamp_ns != scan_ns:
             started.set()
             assembled.wait(TIMEOUT_S)
             time.sleep(0.1)  # what the other one would need to overtake
-        return InterpolatedField(volume)
+        return dumps_volume(volume)
 
-    assemble = Trainer._assemble
+    add = CScanAssembler.add
 
-    def assembling(node: Trainer, *pair: Any) -> Volume | None:
-        volume = assemble(node, *pair)
+    def adding(assembler: CScanAssembler, *bscan: Any) -> Volume | None:
+        volume = add(assembler, *bscan)
         if volume is not None:
             assembled.set()
         return volume
 
-    monkeypatch.setattr(trainer, "InterpolatedField", slow)
-    monkeypatch.setattr(Trainer, "_assemble", assembling)
+    monkeypatch.setattr(present_scan, "dumps_volume", slow)
+    monkeypatch.setattr(CScanAssembler, "add", adding)
     with ThreadPoolExecutor() as pool:
         loading = pool.submit(bench.load, str(path))
         assert started.wait(TIMEOUT_S)
@@ -272,9 +212,9 @@ def test_the_last_scan_to_come_is_the_last_to_be_published(
 
 
 def test_bad_cscans_are_reported_and_the_next_good_one_is_fitted(
-    spin: Callable[..., Any], client: Any, volume: Volume
+    trainer_bench: Callable[..., Any], volume: Volume
 ) -> None:
-    bench = Bench(spin, client, bscan_count=SHAPE[0], spacing_um=SPACING_UM)
+    bench = trainer_bench(bscan_count=SHAPE[0], spacing_um=SPACING_UM)
     bench.scan(volume, 1_000_000_000, skip=3)
     bench.until("missing: 3")
     voxels = volume.normalized()
@@ -290,27 +230,27 @@ def test_bad_cscans_are_reported_and_the_next_good_one_is_fitted(
     assert conversions.stamp_to_ns(bench.field.wait(TIMEOUT_S).header.stamp) == 5_000_000_000
 
 
-def test_bscans_of_unstated_spacing_are_not_taken(spin: Callable[..., Any], client: Any, volume: Volume) -> None:
-    bench = Bench(spin, client)
+def test_bscans_of_unstated_spacing_are_not_taken(trainer_bench: Callable[..., Any], volume: Volume) -> None:
+    bench = trainer_bench()
     bench.scan(volume, 1_000_000_000)
     bench.until("bscan_count and spacing_um")
 
 
-def test_refit_fits_the_same_scan_again(spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path) -> None:
-    bench = Bench(spin, client)
+def test_refit_fits_the_same_scan_again(trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path) -> None:
+    bench = trainer_bench()
     save_volume(tmp_path / "scan.nii", volume)
     bench.load(str(tmp_path / "scan.nii"))
     first = bench.field.wait(TIMEOUT_S, is_neural)
-    assert client.call(Trigger, "refit", Trigger.Request(), TIMEOUT_S).success
+    assert bench.trigger("refit").success
     again = bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message is not first)
     assert again.header.stamp == first.header.stamp
     assert not warm(again)
 
 
 def test_a_warm_start_begins_with_the_last_field(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path
 ) -> None:
-    bench = Bench(spin, client, warm_start=True)
+    bench = trainer_bench(warm_start=True)
     save_volume(tmp_path / "scan.nii", volume)
     bench.load(str(tmp_path / "scan.nii"))
     first = bench.field.wait(TIMEOUT_S, is_neural)
@@ -318,17 +258,16 @@ def test_a_warm_start_begins_with_the_last_field(
     bench.load(str(tmp_path / "scan.nii"))
     again = bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message is not first)
     assert warm(again)
-    levels = SetParameters.Request(parameters=[Parameter("fit.field.grid.levels", value=2).to_parameter_msg()])
-    assert client.call(SetParameters, "trainer/set_parameters", levels, TIMEOUT_S).results[0].successful
+    assert bench.set("fit.field.grid.levels", 2).successful
     bench.load(str(tmp_path / "scan.nii"))
     other = bench.field.wait(TIMEOUT_S, lambda message: is_neural(message) and message not in (first, again))
     assert not warm(other), "a field of another shape cannot be gone on with"
 
 
 def test_a_scan_of_another_fine_spacing_is_fitted_anew(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path
 ) -> None:
-    bench = Bench(spin, client, warm_start=True)
+    bench = trainer_bench(warm_start=True)
     for name, factor in (("one.nii", 1.0), ("other.nii", 1.0015)):
         # 7.5 nm of 5 um: next to nothing in metres, and yet another grid
         geometry = dataclasses.replace(volume.geometry, spacing_m=(5e-6 * factor,) * 3)
@@ -340,12 +279,12 @@ def test_a_scan_of_another_fine_spacing_is_fitted_anew(
 
 
 def test_a_fit_that_diverges_is_published_as_it_last_was_and_said_so(
-    spin: Callable[..., Any], client: Any, volume: Volume, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trainer_bench: Callable[..., Any], volume: Volume, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     diverged = iter([False] * 29 + [True])
     monkeypatch.setattr(DivergenceGuard, "diverged", lambda self, loss: next(diverged))
     # A batch this large is evaluated every 20 steps.
-    bench = Bench(spin, client, fit__steps=60, fit__batch=16384)
+    bench = trainer_bench(fit__steps=60, fit__batch=16384)
     save_volume(tmp_path / "scan.nii", volume)
     bench.load(str(tmp_path / "scan.nii"))
     level, _, values = status.read(bench.until("diverged", "last good state"))
