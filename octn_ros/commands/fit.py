@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from octn_ros.training import FitConfig, FitProgress
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.training.PRESETS.
-PRESET_NAMES = ("fast", "paper")
+PRESET_NAMES = ("fast", "paper", "sparse")
 ENDS = {
     "steps": "all steps done",
     "time": "time budget spent",
@@ -146,7 +146,10 @@ def add_parser(commands: Any) -> None:
     )
     common.add_spacing(parser)
     parser.add_argument(
-        "--preset", choices=PRESET_NAMES, default="fast", help="fast: two CPU cores; paper: the paper's model, a GPU"
+        "--preset",
+        choices=PRESET_NAMES,
+        default="fast",
+        help="fast: two CPU cores; paper: the paper's model, a GPU; sparse: few B-scans or much speckle",
     )
     parser.add_argument("--alpha", type=float, help="share of interpolated samples in the hybrid stage, 0 to 1")
     parser.add_argument("--time-budget-s", type=float, metavar="S", help="end the fit after S seconds, 0 for never")

@@ -57,7 +57,13 @@ def grid_for_volume(grid: HashGridConfig, shape: tuple[int, int, int], bits: flo
 
 def _shaped(grid: HashGridConfig, levels: int, base: int, ratio: float) -> HashGridConfig:
     return dataclasses.replace(
-        grid, levels=levels, base_resolution=base, finest_ratio=ratio, follow_shape=True, log2_table_size=28
+        grid,
+        levels=levels,
+        base_resolution=base,
+        finest_ratio=ratio,
+        follow_shape=True,
+        log2_table_size=28,
+        level_growth=0.0,
     )
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from octn_ros.errors import ConfigurationError
 from octn_ros.field.blending import blend, blend_reference
 from octn_ros.field.grid_level import GridLevel
 from octn_ros.settings import check_settings, setting
@@ -40,6 +41,20 @@ class HashGridConfig:
         low=0.25,
         high=8.0,
     )
+    level_growth: float = setting(
+        0.0,
+        "resolution of a level over that of the next coarser one, counted down from the finest; 0 = as many steps as "
+        "there are levels from base_resolution to the finest (open in the paper)",
+        low=0.0,
+        high=16.0,
+    )
+    cells_per_bscan: float = setting(
+        0.0,
+        "cells from one B-scan to the next, the same at every level, where B-scans are few and far between; 0 = as "
+        "along the other axes (open in the paper)",
+        low=0.0,
+        high=8.0,
+    )
     interpolation: str = setting(
         "linear",
         "weights inside a cell: linear as in the paper, or tiny-cuda-nn's smoothstep, whose field has a continuous "
@@ -49,6 +64,10 @@ class HashGridConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if 0.0 < self.level_growth <= 1.0:
+            raise ConfigurationError(
+                f"level_growth: expected 0 or more than 1, got {self.level_growth}; levels grow finer"
+            )
 
     def level_scales(self, shape: tuple[int, int, int]) -> list[tuple[float, float, float]]:
         """Return the cells per unit length of each level along canonical (lateral, axial, bscan).
@@ -58,14 +77,18 @@ class HashGridConfig:
         """
         longest = max(shape)
         finest = max(self.finest_ratio * longest, self.base_resolution)
-        growth = (finest / self.base_resolution) ** (1.0 / max(self.levels - 1, 1))
+        coarsest = float(self.base_resolution)
+        growth = (finest / coarsest) ** (1.0 / max(self.levels - 1, 1))
+        if self.level_growth:
+            growth, coarsest = self.level_growth, self.finest_ratio * longest / self.level_growth ** (self.levels - 1)
         ratios = [1.0, 1.0, 1.0]
         if self.follow_shape:
             ratios = [shape[2] / longest, shape[1] / longest * self.axial_refinement, shape[0] / longest]
         scales = []
         for level in range(self.levels):
-            resolution = self.base_resolution * growth**level
-            lateral, axial, bscan = (max(resolution * ratio - 1.0, 1.0) for ratio in ratios)
+            lateral, axial, bscan = (max(coarsest * growth**level * ratio - 1.0, 1.0) for ratio in ratios)
+            if self.cells_per_bscan:
+                bscan = self.cells_per_bscan * (shape[0] - 1)
             scales.append((lateral, axial, bscan))
         return scales
 

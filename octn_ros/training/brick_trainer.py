@@ -95,6 +95,7 @@ class BrickTrainer:
         ]
         self._parameter_moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self._parameters]
         self._step = 0
+        self.trained: torch.nn.Module = model
         self.samples = 0
         self._compile()
 

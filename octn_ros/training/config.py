@@ -10,6 +10,8 @@ from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig
 from octn_ros.field.backend import BACKENDS
 from octn_ros.settings import check_settings, setting
 
+OBJECTIVES = ("voxels", "neighbours")
+
 
 @dataclass(frozen=True)
 class FitConfig:
@@ -46,6 +48,12 @@ class FitConfig:
     start_from_data: bool = setting(
         False, "begin with block averages of the volume instead of random features (open in the paper)"
     )
+    objective: str = setting(
+        "voxels",
+        "what is learned: voxels, as in the paper; or neighbours: tables hold the volume at several scales, and the "
+        "network learns to predict B-scans from those beside them, whose speckle is another (open in the paper)",
+        choices=OBJECTIVES,
+    )
     backend: str = setting(
         "torch",
         "torch: lone samples, any device; compiled: bricks of neighbouring samples on the CPU, many times faster; "
@@ -56,6 +64,8 @@ class FitConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.objective == "neighbours" and not self.start_from_data:
+            raise ConfigurationError("objective neighbours: expected start_from_data, on which it rests; switch it on")
         if round(self.alpha * self.batch, 6) < 1 and self.alpha > 0:
             raise ConfigurationError(f"alpha {self.alpha} of a batch of {self.batch} is no sample at all; raise either")
 
@@ -83,4 +93,30 @@ FAST = FitConfig(
     start_from_data=True,
     backend="auto",
 )
-PRESETS = {"paper": FitConfig(), "fast": FAST}
+# For scans with few B-scans, or with much speckle: every level keeps the B-scans apart, cells double in their plane
+# from level to level, and only the network is learned, from what B-scans share with their neighbours.
+SPARSE = FitConfig(
+    preset="sparse",
+    field=NeuralFieldConfig(
+        HashGridConfig(
+            levels=4,
+            features=2,
+            log2_table_size=28,
+            finest_ratio=0.7,
+            follow_shape=True,
+            axial_refinement=2.0,
+            level_growth=2.0,
+            cells_per_bscan=1.0,
+        ),
+        NetworkConfig(hidden_layers=1, neurons=32),
+    ),
+    steps=1500,
+    time_budget_s=20.0,
+    batch=1 << 13,
+    alpha=0.0,
+    hybrid_share=0.0,
+    learning_rate=3e-3,
+    start_from_data=True,
+    objective="neighbours",
+)
+PRESETS = {"paper": FitConfig(), "fast": FAST, "sparse": SPARSE}

@@ -124,7 +124,7 @@ def block_average(
     bscans, axials, laterals = geometry.shape
     (lateral_scale, axial_scale, bscan_scale), (columns, rows, layers) = level.scale, level.vertices
     to_columns, to_rows, to_layers = (
-        _averages(count, scale, vertices)
+        axis_averages(count, scale, vertices)
         for count, scale, vertices in (
             (laterals, lateral_scale, columns), (axials, axial_scale, rows), (bscans, bscan_scale, layers)
         )
@@ -138,8 +138,14 @@ def block_average(
     return np.asarray(to_layers @ planes, np.float32).reshape(layers, rows, columns)
 
 
-def _averages(count: int, scale: float, vertices: int) -> Any:
-    """Return the sparse matrix [vertices, count] of the voxels' weights along one axis; its rows sum to one."""
+def axis_averages(count: int, scale: float, vertices: int) -> Any:
+    """Return the sparse matrix [vertices, count] of the voxels' weights along one axis; its rows sum to one.
+
+    Args:
+        count: voxels along the axis.
+        scale: cells of a level along it.
+        vertices: of the level along it.
+    """
     position = np.arange(count) * (scale / (count - 1)) + 0.5
     cell = np.minimum(np.floor(position).astype(np.int64), vertices - 2)
     share = position - cell

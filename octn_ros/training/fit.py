@@ -21,6 +21,7 @@ from octn_ros.training.config import FitConfig
 from octn_ros.training.data_start import follow_data, start_from_data
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.training.held_in import HeldInVoxels, psnr_of_field
+from octn_ros.training.neighbour_trainer import NeighbourTrainer
 from octn_ros.training.noise import noise_variance
 from octn_ros.training.point_trainer import PointTrainer, without_graph
 from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
@@ -99,19 +100,23 @@ def fit(
     if start is not None:
         config = dataclasses.replace(config, field=start.config)
         model = _model_of(start, volume).to(device)
-        if config.start_from_data:
+        if config.start_from_data and config.objective == "voxels":
             follow_data(
                 model, volume, start, lambda here: held_in.mean_squared_error(without_graph(here)), is_cancelled
             )
     else:
         config = dataclasses.replace(config, field=config.field.for_volume(volume.geometry))
         model = _seeded_model(config, volume, held_in.mean)
-        if config.start_from_data:
+        if config.start_from_data and config.objective == "voxels":
             start_from_data(model, volume, is_cancelled)
         model = model.to(device)
-    backend = choose_backend(model, config.backend)
-    trainer: PointTrainer | BrickTrainer
-    if backend == "compiled":
+    backend = "torch" if config.objective == "neighbours" else choose_backend(model, config.backend)
+    trainer: PointTrainer | BrickTrainer | NeighbourTrainer
+    if config.objective == "neighbours":
+        trainer = NeighbourTrainer(
+            model, volume, config.batch, config.seed, is_cancelled, keep_network=start is not None
+        )
+    elif backend == "compiled":
         # Loaded here, since it brings numba along.
         from octn_ros.training.brick_trainer import BrickTrainer
 
@@ -140,14 +145,14 @@ def fit(
 def _train(
     model: NeuralModel,
     voxels: ResidentVoxels,
-    trainer: PointTrainer | BrickTrainer,
+    trainer: PointTrainer | BrickTrainer | NeighbourTrainer,
     held_in: HeldInVoxels,
     config: FitConfig,
     progress: Callable[[FitProgress], None],
     cancelled: Callable[[], bool],
 ) -> tuple[int, float, tuple[FitProgress, ...], Ended]:
     """Train the model in place; return steps, seconds, reports and why it ended."""
-    guard = DivergenceGuard(model, held_in.variance)
+    guard = DivergenceGuard(trainer.trained, held_in.variance)
     period = HeldInVoxels.period(config.batch)
     noise = noise_variance(voxels) if config.stop_at_noise else -1.0
     schedule = Schedule(config)

@@ -25,6 +25,7 @@ class PointTrainer:
         # Features that no sample touches keep a zero gradient; tiny-cuda-nn's small epsilon lets rare ones move at
         # once.
         self._optimizer = torch.optim.Adam(model.parameters(), betas=(0.9, 0.99), eps=1e-15, fused=True)
+        self.trained: nn.Module = model
         self.samples = 0
 
     def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> float | None:
