@@ -28,7 +28,7 @@ def why_not_compiled(model: NeuralModel) -> str:
         return f"its parameters are {table.dtype}; they are for float32"
     if not isinstance(model.network.hidden[1], nn.ReLU):
         return f"its activation is {type(model.network.hidden[1]).__name__}; they are for ReLU"
-    return "" if _numba_is_there() else "numba is missing; pip install numba"
+    return "" if numba_is_there() else "numba is missing; pip install numba"
 
 
 def choose_backend(model: NeuralModel, backend: str) -> Literal["torch", "compiled"]:
@@ -55,7 +55,8 @@ def make_evaluator(model: NeuralModel) -> CompiledEvaluator:
 
 
 @functools.cache
-def _numba_is_there() -> bool:
+def numba_is_there() -> bool:
+    """Say whether kernels can be compiled; where not, warn once."""
     if importlib.util.find_spec("numba") is None:
         warnings.warn(
             "numba is not installed: fields are fitted and asked by plain torch, many times slower; pip install numba",

@@ -142,8 +142,7 @@ class NeuralField(DifferentiableField):
         differentiation (tested), several times cheaper.
         """
         if self._evaluator is not None:
-            value, gradient = self._evaluator.value_and_gradient(torch.stack((lateral, axial, bscan), dim=-1))
-            return value, gradient[:, 1]
+            return self._evaluator.axial_value_and_slope(lateral, axial, bscan)
         values, slopes = [lateral.new_zeros(0)], [lateral.new_zeros(0)]
         with torch.no_grad():
             for chunk in torch.stack((lateral, axial, bscan), dim=-1).split(self._chunk):
@@ -152,9 +151,16 @@ class NeuralField(DifferentiableField):
                 slopes.append(slope)
         return torch.cat(values), torch.cat(slopes)
 
-    def _line_values(self, lateral: Tensor, bscan: Tensor, axial: Tensor) -> Tensor:
+    def axial_lines(self, lateral: Tensor, bscan: Tensor, axial: Tensor) -> Tensor:
+        """Return intensities [N, K] at canonical depths [N, K] along the axial lines at lateral [N], bscan [N].
+
+        The vertices that a line passes are blended across once: equal to `evaluate` at the same points, cheaper.
+        """
         if self._evaluator is not None:
-            return super()._line_values(lateral, bscan, axial)
+            return self._evaluator.axial_lines(lateral, bscan, axial)
+        return super().axial_lines(lateral, bscan, axial)
+
+    def _line_values(self, lateral: Tensor, bscan: Tensor, axial: Tensor) -> Tensor:
         return self._through_network(self.model.grid.forward_lines(lateral, bscan, axial))
 
     def _lattice_values(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> Tensor:

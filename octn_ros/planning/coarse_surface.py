@@ -12,7 +12,7 @@ from scipy import ndimage
 from octn_ros.errors import PlanError
 from octn_ros.field import Field
 from octn_ros.planning.candidate_choice import choose_smooth
-from octn_ros.planning.step_levels import StepLevels, aligned_steps
+from octn_ros.planning.step_levels import aligned_steps, strongest_steps, voxels_of_a_box
 from octn_ros.query.lattice import canonical_index, lattice_size
 from octn_ros.settings import check_settings, setting
 
@@ -154,15 +154,15 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     pitch_m = (high - low) * spacing / np.array([columns - 1, rows - 1])
     window = _odd(config.lateral_window_m / pitch_m[1], rows), _odd(config.lateral_window_m / pitch_m[0], columns)
 
-    levels = StepLevels.of(ascans, config.window_m / geometry.spacing_m[1], window)
-    place, strength = levels.candidates(config.candidates)
+    box = voxels_of_a_box(config.window_m / geometry.spacing_m[1])
+    place, strength, air = strongest_steps(ascans, box, window, config.candidates)
     # Air is what lies above the first step that counts, whatever is brighter in the depth.
     counts = strength >= _CREDIBLE * strength.max(axis=-1, keepdims=True)
     first = np.where(counts, place, ascans.shape[-1]).argmin(axis=-1)[..., None]
-    usual_air = np.median(np.take_along_axis(levels.above, np.take_along_axis(place, first, axis=-1), axis=-1))
+    usual_air = np.median(np.take_along_axis(air, first, axis=-1))
     usual = max(float(np.median(np.take_along_axis(strength, first, axis=-1))), _SMALLEST_STEP)
     # Where it is brighter above than air is, a step is one inside the tissue, or there is glare.
-    bright = (np.take_along_axis(levels.above, place, axis=-1) - usual_air) / usual
+    bright = (air - usual_air) / usual
     strength = strength * np.clip(1.0 - bright, 0.0, 1.0)
     if not strength.max() > _SMALLEST_STEP:
         raise PlanError(
@@ -178,8 +178,8 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     for _ in range(_ALIGNMENTS):
         # An A-scan that lies off its neighbours is looked at where they are; the others keep crests and cliffs sharp.
         agreed = ndimage.median_filter(fine, 3, mode="nearest")
-        place = np.rint(np.where(np.abs(fine - agreed) > levels.box, agreed, fine)).astype(np.intp)
-        fine, above, below = aligned_steps(ascans, place, levels.box, window)
+        place = np.rint(np.where(np.abs(fine - agreed) > box, agreed, fine)).astype(np.intp)
+        fine, above, below = aligned_steps(ascans, place, box, window)
     typical_step = float(np.median(below - above))
     return CoarseSurface(
         depth=fine,

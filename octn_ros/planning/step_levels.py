@@ -8,8 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from octn_ros.field.backend import numba_is_there
+
 # Boxes on either side of a step; a layer has to fill more than one of them to be taken for tissue.
 _BOXES = 5
+
+
+def voxels_of_a_box(window: float) -> int:
+    """Return the axial voxels of one box, so that all on one side of a step span `window` voxels."""
+    return max(1, round(window / _BOXES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +40,9 @@ class StepLevels:
     box: int
 
     @classmethod
-    def of(cls, ascans: NDArray[np.float32], window: float, lateral: tuple[int, int]) -> StepLevels:
-        """Take the levels of A-scans [bscan, lateral, axial], averaged over `lateral` of them, `window` voxels wide."""
-        box, count = max(1, round(window / _BOXES)), ascans.shape[-1]
-        pad = _BOXES * box
+    def of(cls, ascans: NDArray[np.float32], box: int, lateral: tuple[int, int]) -> StepLevels:
+        """Take the levels of A-scans [bscan, lateral, axial], averaged over `lateral` of them, in boxes of `box`."""
+        count, pad = ascans.shape[-1], _BOXES * box
         smooth = ndimage.uniform_filter(ascans, size=(*lateral, 1), mode="nearest") if max(lateral) > 1 else ascans
         # Beyond its ends an A-scan goes on at the level of its last box: air above, and tissue below.
         top = np.repeat(smooth[..., :box].mean(axis=-1, keepdims=True), pad, axis=-1)
@@ -86,6 +92,36 @@ class StepLevels:
         return np.where(found, np.take_along_axis(crossing, nearest, axis=-1)[..., 0], place - 0.5)
 
 
+def strongest_steps(
+    ascans: NDArray[np.float32], box: int, lateral: tuple[int, int], count: int
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    """Return place, strength and air level [bscan, lateral, count] of the strongest separate steps of each A-scan.
+
+    In one compiled pass where numba is installed, else by `strongest_steps_reference`; the order of the steps is not
+    defined. Thread-safe.
+
+    Args:
+        ascans: A-scans [bscan, lateral, axial].
+        box: axial voxels of one box.
+        lateral: A-scans that are averaged along (bscan, lateral), odd, or 0 for none.
+        count: steps of each A-scan, at most one for each place.
+    """
+    if not numba_is_there():
+        return strongest_steps_reference(ascans, box, lateral, count)
+    from octn_ros.planning.step_kernel import strongest_steps_compiled
+
+    return strongest_steps_compiled(ascans, box, lateral, count)
+
+
+def strongest_steps_reference(
+    ascans: NDArray[np.float32], box: int, lateral: tuple[int, int], count: int
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    """Return what `strongest_steps` does, by way of the levels around every place."""
+    levels = StepLevels.of(ascans, box, lateral)
+    place, strength = levels.candidates(count)
+    return place, strength, np.take_along_axis(levels.above, place, axis=-1)
+
+
 def aligned_steps(
     ascans: NDArray[np.float32], place: NDArray[np.integer], box: int, lateral: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
@@ -104,7 +140,7 @@ def aligned_steps(
     reach = (_BOXES + 2) * box
     index = np.clip(place[..., None] + np.arange(-reach, reach), 0, ascans.shape[-1] - 1)
     windows = np.take_along_axis(ascans, index, axis=-1)
-    levels = StepLevels.of(windows, _BOXES * box, lateral)
+    levels = StepLevels.of(windows, box, lateral)
     around = slice(reach - 2 * box, reach + 2 * box + 1)
     best = levels.strength[..., around].argmax(axis=-1) + around.start
     above, below = levels.at(best)

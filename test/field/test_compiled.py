@@ -105,6 +105,39 @@ def test_a_lattice_is_its_points(config, shape):
         torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("depths", ["one", "two far apart", "close and unsorted", "every voxel"])
+def test_lines_are_their_points(config, shape, depths):
+    model = random_model(config, shape)
+    points = points_away_from_faces(model, 400)[:131]
+    lateral, axial, bscan = points.T.contiguous()
+    generator = torch.Generator().manual_seed(4)
+    axial = {
+        "one": axial[:, None],
+        "two far apart": torch.stack((axial, -axial), dim=1),
+        "close and unsorted": axial[:, None] + 0.2 * torch.rand(len(axial), 9, generator=generator),
+        "every voxel": torch.linspace(-1, 1, shape[1]).expand(len(axial), -1),
+    }[depths]
+    expected = model(torch.stack((lateral[:, None].expand_as(axial), axial, bscan[:, None].expand_as(axial)), dim=-1)
+                     .view(-1, 3)).detach().view(axial.shape)  # fmt: skip
+    got = CompiledEvaluator(model).axial_lines(lateral, bscan, axial)
+    torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("config", CONFIGS)
+def test_axial_slopes_are_those_of_the_gradient(config, shape):
+    model = random_model(config, shape)
+    points = points_away_from_faces(model, 1001)
+    evaluator = CompiledEvaluator(model)
+    values, gradients = evaluator.value_and_gradient(points)
+    value, slope = evaluator.axial_value_and_slope(*points.T)
+    torch.testing.assert_close(value, values, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(slope, gradients[:, 1], rtol=1e-4, atol=1e-4 * float(gradients.abs().max()))
+    assert (slope[points[:, 1].abs() > 1] == 0).all()
+
+
 def test_nothing_to_evaluate():
     evaluator = CompiledEvaluator(random_model(NeuralFieldConfig(HashGridConfig(levels=1)), SHAPES[0]))
     values, gradients = evaluator.value_and_gradient(torch.zeros(0, 3))
@@ -112,6 +145,9 @@ def test_nothing_to_evaluate():
     assert gradients.shape == (0, 3)
     axis = torch.linspace(-1, 1, 3)
     assert evaluator.lattice(axis, axis, axis[:0]).shape == (0, 3, 3)
+    assert evaluator.axial_lines(axis[:0], axis[:0], torch.zeros(0, 4)).shape == (0, 4)
+    assert evaluator.axial_lines(axis, axis, torch.zeros(3, 0)).shape == (3, 0)
+    assert evaluator.axial_value_and_slope(axis[:0], axis[:0], axis[:0])[1].shape == (0,)
 
 
 def test_nowhere_has_no_intensity():
@@ -123,6 +159,10 @@ def test_nowhere_has_no_intensity():
     nowhere[[3, 66]] = True
     assert torch.equal(values.isnan(), nowhere)
     assert torch.equal(gradients.isnan().any(dim=1), nowhere)
+    axial = CompiledEvaluator(model).axial_value_and_slope(*points.T)
+    assert all(torch.equal(part.isnan(), nowhere) for part in axial)
+    lines = CompiledEvaluator(model).axial_lines(points[:7, 0], points[:7, 2], points[:14, 1].view(7, 2))
+    assert torch.equal(lines.isnan(), torch.tensor([[False, False], [False, True]] + [[False, False]] * 5))
     axis = torch.tensor([0.0, torch.nan, 0.5])
     lattice = CompiledEvaluator(model).lattice(axis, axis[:1], axis[::2])
     assert torch.equal(lattice.isnan(), torch.tensor([[[False, True, False]]] * 2))

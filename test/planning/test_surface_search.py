@@ -205,7 +205,7 @@ def test_one_point_and_a_corner_of_the_field_will_do(plane_field):
 
 def test_more_candidates_than_an_ascan_has_places(plane_field):
     config = SurfaceSearchConfig(coarse=CoarseSurfaceConfig(candidates=32))
-    levels = StepLevels.of(np.zeros((3, 3, 8), dtype=np.float32), 5.0, (0, 0))
+    levels = StepLevels.of(np.zeros((3, 3, 8), dtype=np.float32), 1, (0, 0))
     assert levels.candidates(32)[0].shape == (3, 3, 9)
     assert not find_surface(plane_field, RASTER, TAU, config).given_up.any()
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from octn_ros.field.compiled.lattice import evaluate_lattice
+from octn_ros.field.compiled.lines import evaluate_axial_slopes, evaluate_lines
 from octn_ros.field.compiled.model import encoding_of, perceptron_of
 from octn_ros.field.compiled.points import evaluate_points
 
@@ -39,6 +40,17 @@ class CompiledEvaluator:
         """Return intensities [bscan, axial, lateral] on the lattice of three canonical coordinate vectors."""
         axes = (axis.detach().contiguous().numpy() for axis in (lateral, axial, bscan))
         return torch.from_numpy(evaluate_lattice(self._encoding, self._perceptron, *axes))
+
+    def axial_lines(self, lateral: Tensor, bscan: Tensor, axial: Tensor) -> Tensor:
+        """Return intensities [N, K] at canonical depths [N, K] along the axial lines at lateral [N], bscan [N]."""
+        axes = (axis.detach().contiguous().numpy() for axis in (lateral, bscan, axial))
+        return torch.from_numpy(evaluate_lines(self._encoding, self._perceptron, *axes))
+
+    def axial_value_and_slope(self, lateral: Tensor, axial: Tensor, bscan: Tensor) -> tuple[Tensor, Tensor]:
+        """Return intensities [N] and exact derivatives by the axial coordinate [N] at canonical coordinates [N]."""
+        axes = (axis.detach().contiguous().numpy() for axis in (lateral, axial, bscan))
+        values, slopes = evaluate_axial_slopes(self._encoding, self._perceptron, *axes)
+        return torch.from_numpy(values), torch.from_numpy(slopes)
 
     def _ask(self, points: Tensor, *, gradients: bool) -> tuple[Tensor, Tensor]:
         array = points.detach().contiguous().numpy()

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from octn_ros.field.compiled.arrays import Perceptron
+from octn_ros.field.compiled.arrays import Perceptron, WayBack
 from octn_ros.field.compiled.options import KERNEL, TILE
 
 PAD = 4
@@ -69,6 +69,36 @@ def run_network(
     for j in range(len(perceptron.output)):
         for k in range(TILE):
             values[k] += perceptron.output[j] * activations[last, j, k]
+
+
+@njit(**KERNEL)
+def run_backwards(
+    perceptron: Perceptron,
+    back: WayBack,
+    activations: NDArray[np.float32],
+    scratch: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+) -> None:
+    """Write the derivative of the value by each feature into gradient [inputs, TILE].
+
+    Args:
+        perceptron: the network.
+        back: its way back.
+        activations: as `run_network` left them.
+        scratch: [2, neurons, TILE], overwritten.
+        gradient: written.
+    """
+    last = perceptron.more.shape[0]
+    for j in range(len(perceptron.output)):
+        for k in range(TILE):
+            scratch[0, j, k] = perceptron.output[j]
+    gate(activations[last], scratch[0])
+    now = 0
+    for layer in range(last - 1, -1, -1):
+        multiply(back.more[layer], scratch[now], scratch[1 - now])
+        gate(activations[layer], scratch[1 - now])
+        now = 1 - now
+    multiply(back.first, scratch[now], gradient)
 
 
 @njit(**KERNEL)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from octn_ros.field.compiled.arrays import Encoding, Perceptron, WayBack
-from octn_ros.field.compiled.layers import gate, multiply, run_network
+from octn_ros.field.compiled.layers import run_backwards, run_network
 from octn_ros.field.compiled.model import way_back_of, workers
 from octn_ros.field.compiled.options import KERNEL, TILE
-from octn_ros.field.compiled.walk import position_of, table_row
+from octn_ros.field.compiled.walk import cell_of, table_row
 
 # Tiles that a thread takes at a time: enough to be worth the handing over, few enough to share the work evenly.
 _TILES = 64
@@ -58,11 +56,10 @@ def _part(
     gradient: NDArray[np.float32],
 ) -> None:
     neurons, inputs = perceptron.first.shape
-    last = perceptron.more.shape[0]
     encoded = np.zeros((inputs, TILE), np.float32)
     # By unit coordinates along (bscan, axial, lateral).
     slopes = np.zeros((3, inputs if gradients else 0, TILE), np.float32)
-    activations = np.empty((last + 1, neurons, TILE), np.float32)
+    activations = np.empty((perceptron.more.shape[0] + 1, neurons, TILE), np.float32)
     passed = np.empty((2, neurons, TILE), np.float32)
     by_feature = np.empty((inputs, TILE), np.float32)
     answer = np.empty(TILE, np.float32)
@@ -75,16 +72,7 @@ def _part(
         values[tile : tile + size] = answer[:size]
         if not gradients:
             continue
-        for j in range(neurons):
-            for k in range(TILE):
-                passed[0, j, k] = perceptron.output[j]
-        gate(activations[last], passed[0])
-        now = 0
-        for layer in range(last - 1, -1, -1):
-            multiply(back.more[layer], passed[now], passed[1 - now])
-            gate(activations[layer], passed[1 - now])
-            now = 1 - now
-        multiply(back.first, passed[now], by_feature)
+        run_backwards(perceptron, back, activations, passed, by_feature)
         for axis in range(3):
             for k in range(TILE):
                 answer[k] = 0
@@ -109,9 +97,9 @@ def _encode_point(
     """Write column `k` of the features, and of their slopes unless these are empty, for one level of one point."""
     scale, factors = encoding.scale[level], encoding.factors[level]
     first_row, mask = encoding.first_row[level], encoding.mask[level]
-    cell_z, share_z, slope_z = _cell(point[2], scale[0], encoding.smooth)
-    cell_y, share_y, slope_y = _cell(point[1], scale[1], encoding.smooth)
-    cell_x, share_x, slope_x = _cell(point[0], scale[2], encoding.smooth)
+    cell_z, share_z, slope_z = cell_of(point[2], scale[0], encoding.smooth)
+    cell_y, share_y, slope_y = cell_of(point[1], scale[1], encoding.smooth)
+    cell_x, share_x, slope_x = cell_of(point[0], scale[2], encoding.smooth)
     features = encoding.table.shape[1]
     offset = level * features
     wanted = slopes.shape[1] > 0
@@ -137,16 +125,3 @@ def _encode_point(
                         slopes[0, offset + f, k] += change_z * weight_y * weight_x * feature
                         slopes[1, offset + f, k] += weight_z * change_y * weight_x * feature
                         slopes[2, offset + f, k] += weight_z * weight_y * change_x * feature
-
-
-@njit(**KERNEL)
-def _cell(coordinate: np.float32, scale: np.float32, smooth: bool) -> tuple[int, np.float32, np.float32]:
-    """Return the cell of a canonical coordinate, the share of its far vertex, and that share's slope per unit."""
-    position = position_of(coordinate, scale)
-    cell = np.int64(math.floor(position))
-    share = position - np.float32(cell)
-    slope = scale
-    if smooth:
-        slope = scale * np.float32(6.0) * share * (np.float32(1.0) - share)
-        share = share * share * (np.float32(3.0) - np.float32(2.0) * share)
-    return cell, share, slope

@@ -30,6 +30,19 @@ def position_of(coordinate: np.float32, scale: np.float32) -> np.float32:
 
 
 @njit(**KERNEL)
+def cell_of(coordinate: np.float32, scale: np.float32, smooth: bool) -> tuple[int, np.float32, np.float32]:
+    """Return the cell of a canonical coordinate, the share of its far vertex, and that share's slope per unit."""
+    position = position_of(coordinate, scale)
+    cell = np.int64(math.floor(position))
+    share = position - np.float32(cell)
+    slope = scale
+    if smooth:
+        slope = scale * np.float32(6.0) * share * (np.float32(1.0) - share)
+        share = share * share * (np.float32(3.0) - np.float32(2.0) * share)
+    return cell, share, slope
+
+
+@njit(**KERNEL)
 def table_row(first: int, second: int, third: int, first_row: int, mask: int) -> int:
     """Return the table row of a vertex from its factored numbers along the three axes; mask -1 for a dense level."""
     return first_row + (first + second + third if mask < 0 else (first ^ second ^ third) & mask)
