@@ -22,6 +22,7 @@ from octn_ros.planning.region import (
 from octn_ros.planning.region_config import RegionConfig
 from octn_ros.planning.search_config import SurfaceSearchConfig
 from octn_ros.planning.search_result import SurfaceSearch
+from octn_ros.planning.step_levels import warm_up_steps
 from octn_ros.planning.surface_search import find_surface
 from octn_ros.planning.transforms import from_translation_quaternion, invert, make_rigid, quaternions_xyzw
 from octn_ros.planning.trust import TrustConfig
@@ -76,4 +77,5 @@ __all__ = [
     "rectangle_raster",
     "rectangle_region",
     "waypoint_poses",
+    "warm_up_steps",
 ]

@@ -113,6 +113,11 @@ def strongest_steps(
     return strongest_steps_compiled(ascans, box, lateral, count)
 
 
+def warm_up_steps() -> None:
+    """Compile, or load from the cache, what `strongest_steps` runs, so that no first plan waits for it."""
+    strongest_steps(np.zeros((1, 1, 8), dtype=np.float32), 1, (0, 0), 1)
+
+
 def strongest_steps_reference(
     ascans: NDArray[np.float32], box: int, lateral: tuple[int, int], count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:

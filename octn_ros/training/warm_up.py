@@ -60,6 +60,8 @@ def _ask(field: NeuralField) -> None:
         field.lattice(axis, axis, axis)
         field.evaluate(torch.zeros(1, 3))
         field.value_and_gradient(torch.zeros(1, 3))
+        field.axial_lines(axis, axis, axis[:, None])
+        field.axial_value_and_slope(axis, axis, axis)
 
 
 def _made_field(config: NeuralFieldConfig, backend: str, device: torch.device) -> NeuralField:
