@@ -11,7 +11,7 @@ import octn_ros.nodes  # noqa: F401 - makes rclpy and the message packages impor
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.srv import GetPlan
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.nodes import status
 from octn_ros.nodes.client import GraphClient
@@ -48,6 +48,7 @@ def drive(corners_m: list[float]) -> None:
 
         if path.poses:
             arm.wait(10, lambda message: state_of(message) == "staged")
+            client.call(SetBool, "enable_laser", SetBool.Request(data=True), timeout_s=10)
             ask(client, "execute")
             done = arm.wait(300, lambda message: state_of(message) in ("done", "aborted"))
             print("arm:", status.read(done)[1])

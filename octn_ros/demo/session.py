@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseArray
 from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, PointCloud2
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.demo.graph import DemoError, demo_graph
 from octn_ros.demo.pictures import FitPoint
@@ -214,6 +214,9 @@ def _execute(client: GraphClient, ears: Ears, show: Show) -> dict[str, str]:
     client.node.create_subscription(
         DiagnosticArray, "execution_status", lambda message: _show_execution(message, show), qos.LATCHED
     )
+    enabled = client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S)
+    if not enabled.success:
+        raise DemoError(f"enable_laser: {enabled.message}")
     _trigger(client, "execute")
     return _wait_state(ears.execution_status, ("done",), ("aborted",), EXECUTION_S)
 

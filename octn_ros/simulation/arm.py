@@ -1,9 +1,10 @@
-"""A mock robot arm with a coaxial laser: it stages a plan, runs it only when told to, and remembers what it did."""
+"""A simulated robot arm with a coaxial laser: it stages a plan, runs it only when told to, and tells its shots."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -11,28 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import ExecutionError
-from octn_ros.settings import check_settings, setting
+from octn_ros.settings import setting
 from octn_ros.simulation.laser_path import LaserPath
 from octn_ros.simulation.pose import checked_poses, inverse
-from octn_ros.simulation.trajectory import Trajectory
+from octn_ros.simulation.shots import Shot, ShotSchedule, lone_waypoints
+from octn_ros.simulation.trajectory import MotionLimits, Trajectory
 
-ArmState = Literal["idle", "staged", "executing", "done", "aborted"]
+ArmState = Literal["idle", "staged", "executing", "returning", "done", "aborted"]
 
 HISTORY_LENGTH = 20_000
 """Steps the arm remembers, the newest ones."""
 
 
 @dataclass(frozen=True)
-class ArmConfig:
-    """Limits of the arm; the defaults suit a small collaborative arm."""
+class ArmConfig(MotionLimits):
+    """Limits of the arm. Those of its joints are not modelled: the end effector's stand for them."""
 
     reach_m: float = setting(0.85, "largest distance of the end effector from the base", unit="m", low=0.01, high=10.0)
-    max_speed_m_s: float = setting(0.25, "largest speed of the end effector", unit="m/s", low=1e-4, high=10.0)
     control_period_s: float = setting(0.008, "time between two control steps", unit="s", low=1e-4, high=1.0)
-    plan_max_age_s: float = setting(600.0, "age of the scan beyond which its plan is refused", unit="s", low=0.0)
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 class ArmSample(NamedTuple):
@@ -43,11 +40,16 @@ class ArmSample(NamedTuple):
     laser_on: bool
 
 
+def _no_stray() -> NDArray[np.float64]:
+    return np.eye(4)
+
+
 class Arm:
     """Simulated arm; not thread-safe: its owner calls it from one thread or under one lock.
 
-    Each plan is executed once. After the last waypoint the arm returns to the pose of the scan, laser off, so that the
-    next scan sees the tissue at the same place; after an abort it stays where it stopped.
+    Each plan is executed once, with speed and acceleration of the end effector limited, and the tool path's speed of
+    the focus kept. After the last waypoint the arm returns to the pose of the scan, laser off, so that the next scan
+    sees the tissue at the same place; after an abort it stays where it stopped until `go_to`.
 
     Args:
         config: its limits.
@@ -55,18 +57,28 @@ class Arm:
             4x4, metres.
         ee2base: pose of the end effector in the base frame at the start, 4x4, metres.
         ee_frame: name of the end-effector frame, in which paths are expected.
+        stray: returns how far the end effector is off its commanded pose, 4x4 in its own frame, anew at each call;
+            exact if left out.
 
     Attributes:
-        state: idle, staged, executing, done or aborted.
+        state: idle, staged, executing, returning (to the pose of a scan), done or aborted.
         ee2base: present pose of the end effector in the base frame.
-        laser_on: whether the laser fired in the last step, or is on between two waypoints it fires at.
+        commanded2base: where it would be without its stray.
+        laser_on: whether the beam's shutter is open.
         history: the newest steps, oldest first.
 
     Raises:
         ExecutionError: a transform is not rigid.
     """
 
-    def __init__(self, config: ArmConfig, laser2ee: Any, ee2base: Any, ee_frame: str = "tool0") -> None:
+    def __init__(
+        self,
+        config: ArmConfig,
+        laser2ee: Any,
+        ee2base: Any,
+        ee_frame: str = "tool0",
+        stray: Callable[[], NDArray[np.float64]] = _no_stray,
+    ) -> None:
         self.config = config
         self.ee_frame = ee_frame
         self.state: ArmState = "idle"
@@ -75,24 +87,27 @@ class Arm:
         self.history: deque[ArmSample] = deque(maxlen=HISTORY_LENGTH)
         self._laser2ee = checked_poses("laser2ee", laser2ee)
         self._ee2laser = inverse(self._laser2ee)
+        self._stray = stray
         self._path: LaserPath | None = None
+        self.commanded2base = self.ee2base
         self._scan_ee2base = self.ee2base
         self._focus2base = np.zeros((0, 4, 4))
-        self._trajectory = Trajectory(self.ee2base[None], np.zeros(1))
+        self._trajectory = self._motion(np.zeros((0, 4, 4)), np.zeros(0))
+        self._schedule: ShotSchedule | None = None
         self._start_ns = 0
         self._elapsed_s = 0.0
         self._passed = 0
-        self._shots: list[NDArray[np.float64]] = []
+        self._fired = 0
 
     @property
     def executed(self) -> int:
         """Number of shots fired in the present or last execution."""
-        return sum(len(shots) for shots in self._shots)
+        return self._fired
 
     @property
-    def shots(self) -> NDArray[np.float64]:
-        """Focus positions [M, 3] of the shots of the present or last execution, metres in the base frame."""
-        return np.concatenate([np.zeros((0, 3)), *self._shots])
+    def elapsed_s(self) -> float:
+        """Time since the present or last motion began, seconds of the arm's time."""
+        return self._elapsed_s
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -109,9 +124,9 @@ class Arm:
 
         Raises:
             ExecutionError: the plan is empty, in another frame, of another scan or out of reach, the pose is not
-                rigid, or the arm is executing.
+                rigid, or the arm is moving.
         """
-        if self.state == "executing":
+        if self.state in ("executing", "returning"):
             raise ExecutionError("expected an arm at rest, got a plan while one is executing; abort first")
         self.withdraw()
         if len(path) == 0:
@@ -136,39 +151,49 @@ class Arm:
         self._passed = 0
         self.state = "staged"
 
-    def execute(self, now_ns: int) -> None:
-        """Begin to run the staged plan; `step` then moves the arm.
+    def execute(self, now_ns: int, dwell_s: float) -> None:
+        """Begin to run the staged plan; `step` then moves the arm. Whether it may is for others to judge.
 
         Args:
             now_ns: present time, nanoseconds, of the clock that stamped the scan.
+            dwell_s: length of the burst at each firing waypoint, seconds.
 
         Raises:
-            ExecutionError: nothing is staged, or the plan's scan is too old or lies in the future.
+            ExecutionError: nothing is staged.
         """
         if self.state != "staged" or self._path is None:
             raise ExecutionError(f"expected a staged plan, got none (the arm is {self.state}); stage a plan first")
-        age_s = (now_ns - self._path.stamp_ns) / 1e9
-        if not 0.0 <= age_s <= self.config.plan_max_age_s:
-            raise ExecutionError(
-                f"expected a plan whose scan is 0 to {self.config.plan_max_age_s:g} s old, got one of {age_s:.1f} s; "
-                "scan and plan again"
-            )
-        targets = np.concatenate([self.ee2base[None], self._focus2base @ self._ee2laser, self._scan_ee2base[None]])
-        limit = self.config.max_speed_m_s
+        limit, path = self.config.max_speed_m_s, self._path
+        targets = np.concatenate([self._focus2base, (self._scan_ee2base @ self._laser2ee)[None]])
         # The way to the first waypoint and the way back carry no laser, so the arm's own limit is the only one.
-        speeds = np.concatenate([[limit], np.minimum(self._path.speed_m_s[1:], limit), [limit]])
-        self._trajectory = Trajectory.through(targets, (targets @ self._laser2ee)[:, :3, 3], speeds, limit)
-        self._start_ns, self._elapsed_s, self._passed, self._shots = now_ns, 0.0, 0, []
-        self.state = "executing"
+        speeds = np.concatenate([[limit], np.minimum(path.speed_m_s[1:], limit), [limit]])
+        pauses = np.concatenate([[0.0], np.where(lone_waypoints(path), dwell_s, 0.0), [0.0]])
+        self._trajectory = self._motion(targets, speeds, pauses)
+        self._schedule = ShotSchedule.of(path, self._trajectory.times_s[1:-1], dwell_s)
+        self._begin(now_ns, "executing")
 
-    def step(self, dt_s: float | None = None) -> int:
-        """Let time pass: move along the path and fire at every waypoint passed that has the laser on.
+    def go_to(self, ee2base: NDArray[np.float64], now_ns: int) -> float:
+        """Begin to move to a pose in a straight line, laser off; return how long it will take, seconds.
+
+        Raises:
+            ExecutionError: the arm is moving.
+        """
+        if self.state in ("executing", "returning"):
+            raise ExecutionError(f"expected an arm at rest, got one that is {self.state}; wait, or abort first")
+        self.withdraw()
+        self._trajectory = self._motion((ee2base @ self._laser2ee)[None], np.array([self.config.max_speed_m_s]))
+        self._schedule = None
+        self._begin(now_ns, "returning")
+        return self._trajectory.duration_s
+
+    def step(self, dt_s: float | None = None) -> list[Shot]:
+        """Let time pass: move along the path and fire what is due on it.
 
         Args:
             dt_s: seconds, the control period if none is given. Many waypoints may be passed in one step.
 
         Returns:
-            Number of shots fired in this step. An arm that is not executing stays where it is.
+            Shots that ended in this step. An arm that is not moving stays where it is.
 
         Raises:
             ExecutionError: the time is not a finite number of at least 0.
@@ -176,52 +201,75 @@ class Arm:
         dt_s = self.config.control_period_s if dt_s is None else dt_s
         if not (math.isfinite(dt_s) and dt_s >= 0.0):
             raise ExecutionError(f"expected a step of at least 0 s, got {dt_s}")
-        if self.state != "executing" or self._path is None:
-            return 0
+        if self.state not in ("executing", "returning"):
+            return []
         self._elapsed_s = min(self._elapsed_s + dt_s, self._trajectory.duration_s)
-        self.ee2base = self._trajectory.pose_at(self._elapsed_s)
-        # The first pose of the trajectory is where the arm stood, the last one where it returns to.
-        passed = min(self._trajectory.reached(self._elapsed_s) - 1, len(self._path))
-        fired = self._path.laser_on[self._passed : passed]
-        shots = self._focus2base[self._passed : passed, :3, 3][fired]
-        if len(shots):
-            self._shots.append(shots)
-        self._passed = passed
-        self.laser_on = len(shots) > 0 or self._beam_on(passed)
-        self.history.append(ArmSample(self._start_ns + round(self._elapsed_s * 1e9), self.ee2base, self.laser_on))
+        self.commanded2base = self._trajectory.focus_at(self._elapsed_s) @ self._ee2laser
+        self.ee2base = self.commanded2base @ self._stray()
+        # The first pose of the trajectory is where the arm stood, the last one where it goes to in the end.
+        self._passed = min(self._trajectory.reached(self._elapsed_s) - 1, len(self._focus2base))
+        ended: list[Shot] = []
+        if self._schedule is not None:
+            due = int(np.searchsorted(self._schedule.end_s, self._elapsed_s, side="right"))
+            ended = self._shots(self._fired, due, self._schedule.end_s)
+            self.laser_on = self._schedule.open_at(self._elapsed_s)
+        self._remember()
         if self._elapsed_s >= self._trajectory.duration_s:
-            self._stop("done")
-        return len(shots)
+            self._stop("done" if self.state == "executing" else "idle")
+        return ended
 
-    def abort(self) -> None:
-        """Stop at once with the laser off and drop the plan; without a plan nothing changes."""
-        if self.state in ("staged", "executing"):
+    def abort(self) -> list[Shot]:
+        """Stop at once with the laser off and drop the plan; without a plan nothing changes.
+
+        Returns:
+            The shot that was cut short, if there was one.
+        """
+        cut: list[Shot] = []
+        if self.state == "executing" and self._schedule is not None:
+            begun = int(np.searchsorted(self._schedule.start_s, self._elapsed_s, side="left"))
+            cut = self._shots(self._fired, begun, np.minimum(self._schedule.end_s, self._elapsed_s))
+        if self.state in ("staged", "executing", "returning"):
             self._stop("aborted")
-
-    def new_scan(self) -> None:
-        """Tell the arm that a new scan begins: a staged plan is withdrawn, a running one aborted."""
-        if self.state == "executing":
-            self.abort()
-        else:
-            self.withdraw()
+        return cut
 
     def withdraw(self) -> None:
         """Drop a staged plan; a running one goes on."""
         if self.state == "staged":
             self._stop("idle")
 
-    def _beam_on(self, passed: int) -> bool:
-        """Whether the leg after the `passed`-th waypoint joins two waypoints of one segment that both fire."""
-        assert self._path is not None
-        if not 0 < passed < len(self._path):
-            return False
-        before, after = passed - 1, passed
-        same_segment = bool(self._path.segment[before] == self._path.segment[after])
-        return same_segment and bool(self._path.laser_on[before] and self._path.laser_on[after])
+    def _motion(
+        self, targets: NDArray[np.float64], speeds: NDArray[np.float64], pauses: NDArray[np.float64] | None = None
+    ) -> Trajectory:
+        """Return the motion of the focus from where it is through targets [M, 4, 4], speeds [M], pauses [M + 1]."""
+        places = np.concatenate([(self.commanded2base @ self._laser2ee)[None], targets])
+        return Trajectory(places, speeds, self._ee2laser, self.config, pauses)
+
+    def _begin(self, now_ns: int, state: ArmState) -> None:
+        self._start_ns, self._elapsed_s, self._passed, self._fired = now_ns, 0.0, 0, 0
+        self.state = state
+
+    def _shots(self, first: int, last: int, end_s: NDArray[np.float64]) -> list[Shot]:
+        """Fire the shots `first` to `last` of the schedule, the latter left out, until these times at most."""
+        schedule = self._schedule
+        assert schedule is not None
+        if last <= first:
+            return []
+        start, end = schedule.start_s[first:last], end_s[first:last]
+        commanded = self._trajectory.focus_at(0.5 * (start + end)) @ self._ee2laser
+        shots = []
+        for index, begun_s, ended_s, tool in zip(schedule.waypoint[first:last], start, end, commanded, strict=True):
+            focus = tool @ self._stray() @ self._laser2ee
+            dwell_s = float(ended_s - begun_s)
+            shots.append(Shot(int(index), float(begun_s), dwell_s, self._focus2base[index], focus))
+        self._fired = last
+        return shots
+
+    def _remember(self) -> None:
+        self.history.append(ArmSample(self._start_ns + round(self._elapsed_s * 1e9), self.ee2base, self.laser_on))
 
     def _stop(self, state: ArmState) -> None:
         if self.laser_on:
             self.laser_on = False
-            self.history.append(ArmSample(self._start_ns + round(self._elapsed_s * 1e9), self.ee2base, False))
-        self._path = None
+            self._remember()
+        self._path = self._schedule = None
         self.state = state

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,14 @@ class LaserPath:
         if not forward.all():
             first = int(np.argmin(forward))
             raise ExecutionError(f"expected speeds above 0 m/s, got {self.speed_m_s[first]:g} at waypoint {first}")
+
+    @property
+    def content_hash(self) -> str:
+        """Identity of the path: everything about it; 16 hex digits of SHA-256."""
+        digest = hashlib.sha256(f"{self.stamp_ns} {self.frame}".encode())
+        for array in (self.waypoints_ee, self.segment, self.laser_on, self.speed_m_s):
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()[:16]
 
     def __len__(self) -> int:
         """Return the number of waypoints."""

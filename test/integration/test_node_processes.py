@@ -15,7 +15,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from nav_msgs.srv import GetPlan, LoadMap
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.nodes import qos, status
 from octn_ros.simulation import PhantomConfig, make_phantom
@@ -93,6 +93,7 @@ def test_four_processes_from_scan_to_executed_shots(start: Callable[..., Any], c
     assert [pose.pose for pose in path.poses] == list(waypoints.poses)
 
     execution.wait(ANSWER_TIMEOUT_S, lambda message: values(message)["state"] == "staged")
+    client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_TIMEOUT_S)
     answer = client.call(Trigger, "execute", Trigger.Request(), ANSWER_TIMEOUT_S)
     assert answer.success, answer.message
     done = execution.wait(ANSWER_TIMEOUT_S, lambda message: values(message)["state"] == "done")
@@ -121,7 +122,8 @@ def test_the_example_drives_the_graph(start: Callable[..., Any], client: Any) ->
 
 def test_an_interrupt_ends_the_trainer_during_a_fit(start: Callable[..., Any], client: Any, tmp_path: Path) -> None:
     save_volume(tmp_path / "scan.nii.gz", make_phantom(PhantomConfig(shape=SHAPE)).volume)
-    trainer = start("trainer", *parameters("fit.steps:=10000000", "fit.time_budget_s:=0.0", "device:=cpu"))
+    endless = ("fit.steps:=10000000", "fit.time_budget_s:=0.0", "device:=cpu", f"data_root:={tmp_path}")
+    trainer = start("trainer", *parameters(*endless))
     progress = client.watch(DiagnosticArray, "fit_progress", qos.STREAM)
     request = LoadMap.Request(map_url=(tmp_path / "scan.nii.gz").as_uri())
     answer = client.call(LoadMap, "load_cscan", request, START_TIMEOUT_S)

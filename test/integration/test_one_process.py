@@ -13,7 +13,7 @@ from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, PointCloud2
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.field import field_hash
 from octn_ros.nodes import conversions, qos, status
@@ -57,6 +57,7 @@ class Graph:
         )  # fmt: skip
         self.execution.wait(SERVICE_TIMEOUT_S)
         self.fit_progress.wait_matched(SERVICE_TIMEOUT_S)
+        client.call(SetBool, "enable_laser", SetBool.Request(data=True), SERVICE_TIMEOUT_S)
 
     def trigger(self, name: str) -> Any:
         return self.client.call(Trigger, name, Trigger.Request(), SERVICE_TIMEOUT_S)
@@ -248,7 +249,7 @@ def test_a_plan_may_be_asked_for_in_the_end_effector_and_the_base_frame(graph: G
 
 
 def test_an_old_plan_is_not_executed(spin: Callable[..., Any], client: Any) -> None:
-    graph = Graph(spin, client, arm__plan_max_age_s=0.0)
+    graph = Graph(spin, client, interlock__plan_max_age_s=0.0)
     graph.scan()
     assert graph.plan().plan.poses
     graph.staged()

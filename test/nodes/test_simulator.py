@@ -10,7 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped
 from sensor_msgs.msg import Image, PointCloud2
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.errors import ConfigurationError
 from octn_ros.nodes import conversions, qos, status
@@ -43,6 +43,9 @@ class Bench:
 
     def call(self, name: str) -> Any:
         return self.client.call(Trigger, name, Trigger.Request(), TIMEOUT_S)
+
+    def enable(self, on: bool = True) -> Any:
+        return self.client.call(SetBool, "enable_laser", SetBool.Request(data=on), TIMEOUT_S)
 
     def scan(self) -> int:
         """Scan once the simulator has met both subscriptions; return the stamp of B-scan 0."""
@@ -93,6 +96,10 @@ def test_a_plan_is_staged_on_receipt_and_runs_only_on_execute(spin: Callable[...
     bench = Bench(spin, client)
     bench.publish(bench.scan(), line())
     assert bench.until("5 waypoints staged")["shots"] == "0"
+    refused = bench.call("execute")
+    assert not refused.success
+    assert "enable_laser" in refused.message
+    assert bench.enable().success
     answer = bench.call("execute")
     assert answer.success, answer.message
     assert bench.until("done")["shots"] == "5"
@@ -144,15 +151,16 @@ def test_an_abort_ends_the_execution_and_the_plan(spin: Callable[..., Any], clie
     assert "nothing" in bench.call("abort").message
     bench.publish(bench.scan(), line())
     bench.until("staged")
+    assert bench.enable().success
     assert bench.call("execute").success
     refused = bench.call("scan")
     assert not refused.success
     assert "executing" in refused.message
-    assert bench.call("abort").message == "aborted after 0 shots"
+    assert bench.call("abort").message == "aborted after 0 shots; the laser is disabled"
     assert bench.until("aborted")["state"] == "aborted"
     again = bench.call("execute")
     assert not again.success
-    assert "aborted" in again.message
+    assert "an abort was asked for" in again.message
 
 
 def test_a_recorded_volume_is_played_with_the_spacing_given(

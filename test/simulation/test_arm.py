@@ -7,6 +7,7 @@ from octn_ros.simulation import Arm, ArmConfig, LaserPath
 
 SCAN_NS = 1_000_000_000
 SPACING_M = 50e-6
+DWELL_S = 1e-3
 LINES, POINTS = 3, 5
 COUNT = LINES * POINTS
 
@@ -50,22 +51,31 @@ def arm():
     return Arm(ArmConfig(), LASER2EE, SCAN_POSE)
 
 
-def run(arm, path, dt_s=None, most_steps=10_000):
+def run(arm, path, dt_s=None, most_steps=20_000):
     arm.stage(path, SCAN_NS, SCAN_POSE)
-    arm.execute(SCAN_NS + 1)
+    arm.execute(SCAN_NS + 1, DWELL_S)
+    shots = []
     for _ in range(most_steps):
-        arm.step(dt_s)
+        shots += arm.step(dt_s)
         if arm.state != "executing":
-            return
+            return shots
     raise AssertionError(f"expected the end of the path in {most_steps} steps, at {arm.progress}")
 
 
 @pytest.mark.parametrize("dt_s", [1e-4, 0.008, 10.0])
-def test_every_shot_falls_exactly_on_its_waypoint(arm, dt_s):
+def test_every_shot_is_fired_once_about_its_waypoint(arm, dt_s):
     path = zigzag()
-    run(arm, path, dt_s)
+    shots = run(arm, path, dt_s)
     assert (arm.state, arm.executed, arm.progress) == ("done", COUNT, (COUNT, COUNT))
-    np.testing.assert_allclose(arm.shots, expected_spots(path), atol=1e-12)
+    assert [shot.waypoint for shot in shots] == list(range(COUNT))
+    assert [shot.dwell_s for shot in shots] == pytest.approx([DWELL_S] * COUNT)
+    fired = np.array([shot.focus2base[:3, 3] for shot in shots])
+    off = np.linalg.norm(fired - expected_spots(path), axis=1)
+    ends = np.isin(np.arange(COUNT) % POINTS, (0, POINTS - 1))
+    # At the ends of a line the burst lies inside the line, where the arm still gathers or loses speed.
+    assert off[~ends].max() < 1e-7
+    assert off[ends].max() < 0.5 * 1.0 * (DWELL_S / 2) ** 2 + 1e-7
+    np.testing.assert_array_equal([shot.planned2base[:3, 3] for shot in shots], expected_spots(path))
     assert not arm.laser_on
 
 
@@ -82,17 +92,17 @@ def test_the_focus_goes_through_the_waypoints_with_the_beam_as_planned(arm):
         assert np.degrees(np.arccos(np.clip(focus[nearest, :3, 2] @ spot[:3, 2], -1, 1))) < 0.01
 
 
-@pytest.mark.parametrize("max_speed_m_s", [0.02, 0.25])
-def test_neither_focus_nor_tool_is_faster_than_allowed(max_speed_m_s):
-    arm = Arm(ArmConfig(max_speed_m_s=max_speed_m_s), LASER2EE, SCAN_POSE)
+@pytest.mark.parametrize("limits", [{}, {"max_speed_m_s": 0.005, "max_acceleration_m_s2": 0.1}])
+def test_neither_focus_nor_tool_is_faster_than_allowed(limits):
+    arm = Arm(ArmConfig(**limits), LASER2EE, SCAN_POSE)
     dt_s = 2e-4
     run(arm, zigzag(), dt_s)
-    poses = np.array([SCAN_POSE, *(sample.ee2base for sample in arm.history)])
-    tool = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / dt_s
-    assert tool.max() <= max_speed_m_s * (1 + 1e-6)
-    lit = np.array([sample.laser_on for sample in arm.history])
+    poses = np.array([SCAN_POSE, *(sample.ee2base for sample in arm.history)])[:-2]
+    tool = np.diff(poses[:, :3, 3], axis=0) / dt_s
+    assert np.linalg.norm(tool, axis=1).max() <= arm.config.max_speed_m_s * 1.005
+    assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() / dt_s <= arm.config.max_acceleration_m_s2 * 1.03
+    lit = np.array([sample.laser_on for sample in arm.history])[:-2]
     focus = np.linalg.norm(np.diff((poses @ LASER2EE)[:, :3, 3], axis=0), axis=1) / dt_s
-    # A leg is straight for the tool; turning bends the way of the focus by next to nothing.
     # A lit step after a dark one began before the first waypoint of its line.
     assert focus[1:][lit[1:] & lit[:-1]].max() <= 0.01 * 1.001
 
@@ -110,11 +120,43 @@ def test_history_is_timed_and_dark_on_turns_and_on_the_way_there_and_back(arm):
     np.testing.assert_allclose(arm.ee2base, SCAN_POSE, atol=1e-12)
 
 
-def test_dark_waypoints_are_passed_without_a_shot(arm):
-    laser_on = np.arange(COUNT) % 3 == 0
+def test_dark_waypoints_are_passed_without_a_shot_and_a_lone_one_is_halted_at(arm):
+    laser_on = np.isin(np.arange(COUNT), (0, 1, 7, 12))
     path = zigzag(laser_on=laser_on)
-    run(arm, path)
-    np.testing.assert_allclose(arm.shots, expected_spots(path)[laser_on], atol=1e-12)
+    shots = run(arm, path)
+    assert [shot.waypoint for shot in shots] == [0, 1, 7, 12]
+    for shot in shots[2:]:
+        np.testing.assert_allclose(shot.focus2base[:3, 3], expected_spots(path)[shot.waypoint], atol=1e-9)
+        assert shot.dwell_s == pytest.approx(DWELL_S)
+
+
+def test_a_stray_arm_misses_by_as_much():
+    stray = np.eye(4)
+    stray[:3, 3] = 0.0, 20e-6, 0.0
+    arm = Arm(ArmConfig(), LASER2EE, SCAN_POSE, stray=lambda: stray)
+    path = zigzag()
+    shots = run(arm, path)
+    inner = np.flatnonzero(~np.isin(np.arange(COUNT) % POINTS, (0, POINTS - 1)))
+    off = np.array([shots[i].focus2base[:3, 3] for i in inner]) - expected_spots(path)[inner]
+    np.testing.assert_allclose(np.linalg.norm(off, axis=1), 20e-6, atol=2e-7)
+
+
+def test_after_an_abort_the_arm_can_be_sent_back(arm):
+    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    arm.execute(SCAN_NS, DWELL_S)
+    while arm.executed < 7:
+        arm.step(1e-3)
+    arm.abort()
+    assert arm.go_to(SCAN_POSE, SCAN_NS) > 0
+    with pytest.raises(ExecutionError, match="at rest"):
+        arm.go_to(SCAN_POSE, SCAN_NS)
+    with pytest.raises(ExecutionError, match="at rest"):
+        arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+    while arm.state == "returning":
+        assert arm.step(1e-3) == []
+        assert not arm.laser_on
+    assert arm.state == "idle"
+    np.testing.assert_allclose(arm.ee2base, SCAN_POSE, atol=1e-12)
 
 
 def test_history_is_bounded(arm, monkeypatch):
@@ -126,7 +168,7 @@ def test_history_is_bounded(arm, monkeypatch):
 
 def test_staging_moves_nothing(arm):
     arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
-    assert arm.step() == 0
+    assert arm.step() == []
     np.testing.assert_allclose(arm.ee2base, SCAN_POSE)
     assert (arm.state, arm.executed, arm.progress) == ("staged", 0, (0, COUNT))
 
@@ -134,7 +176,7 @@ def test_staging_moves_nothing(arm):
 def test_the_target_puts_the_laser_frame_on_the_waypoint(arm):
     path = zigzag()
     arm.stage(path, SCAN_NS, SCAN_POSE)
-    arm.execute(SCAN_NS)
+    arm.execute(SCAN_NS, DWELL_S)
     while arm.progress[0] == 0:
         arm.step(1e-5)
     expected = SCAN_POSE @ path.waypoints_ee[0] @ np.linalg.inv(LASER2EE)
@@ -166,61 +208,44 @@ def test_an_empty_plan_is_refused(arm):
 
 def test_execute_needs_a_plan_and_takes_it_once(arm):
     with pytest.raises(ExecutionError, match=r"expected a staged plan, got none \(the arm is idle\)"):
-        arm.execute(SCAN_NS)
+        arm.execute(SCAN_NS, DWELL_S)
     run(arm, zigzag())
     with pytest.raises(ExecutionError, match="the arm is done"):
-        arm.execute(SCAN_NS)
+        arm.execute(SCAN_NS, DWELL_S)
     run(arm, zigzag())
     assert arm.executed == COUNT
 
 
-@pytest.mark.parametrize(("age_s", "allowed"), [(0.0, True), (9.9, True), (10.1, False), (-0.1, False)])
-def test_execute_refuses_an_old_plan(age_s, allowed):
-    arm = Arm(ArmConfig(plan_max_age_s=10.0), LASER2EE, SCAN_POSE)
-    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
-    if allowed:
-        arm.execute(SCAN_NS + int(age_s * 1e9))
-        assert arm.state == "executing"
-    else:
-        with pytest.raises(ExecutionError, match="whose scan is 0 to 10 s old, got one of"):
-            arm.execute(SCAN_NS + int(age_s * 1e9))
-        assert arm.state == "staged"
-
-
-def test_a_new_scan_withdraws_the_plan(arm):
-    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
-    arm.new_scan()
-    with pytest.raises(ExecutionError, match="the arm is idle"):
-        arm.execute(SCAN_NS)
-
-
-@pytest.mark.parametrize("stop", ["abort", "new_scan"])
-def test_stopping_in_mid_raster_turns_the_laser_off_at_once(arm, stop):
-    arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
-    arm.execute(SCAN_NS)
-    while arm.executed < 7:
-        arm.step(1e-3)
-    assert arm.laser_on
-    pose, shots = arm.ee2base.copy(), arm.executed
-    getattr(arm, stop)()
+def test_an_abort_in_mid_raster_turns_the_laser_off_at_once_and_cuts_the_shot_short():
+    for elapsed_s in np.arange(0.15, 0.2, 3e-4):
+        arm = Arm(ArmConfig(), LASER2EE, SCAN_POSE)
+        arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
+        arm.execute(SCAN_NS, DWELL_S)
+        arm.step(elapsed_s)
+        cut = arm.abort()
+        if cut:
+            break
+    (shot,) = cut
+    assert 0.0 < shot.dwell_s < DWELL_S
+    assert shot.start_s + shot.dwell_s == pytest.approx(arm.elapsed_s)
     assert (arm.state, arm.laser_on, arm.history[-1].laser_on) == ("aborted", False, False)
-    assert arm.step() == 0
+    pose, shots = arm.ee2base.copy(), arm.executed
+    assert arm.step() == []
     np.testing.assert_array_equal(arm.ee2base, pose)
     assert arm.executed == shots
     with pytest.raises(ExecutionError, match="the arm is aborted"):
-        arm.execute(SCAN_NS)
+        arm.execute(SCAN_NS, DWELL_S)
 
 
 def test_stopping_without_a_plan_changes_nothing(arm):
-    arm.abort()
-    arm.new_scan()
+    assert arm.abort() == []
     arm.withdraw()
     assert arm.state == "idle"
 
 
 def test_a_running_arm_takes_no_other_plan(arm):
     arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
-    arm.execute(SCAN_NS)
+    arm.execute(SCAN_NS, DWELL_S)
     with pytest.raises(ExecutionError, match="abort first"):
         arm.stage(zigzag(), SCAN_NS, SCAN_POSE)
     assert arm.state == "executing"
@@ -246,5 +271,5 @@ def test_ten_thousand_waypoints_are_quick(arm):
     poses = np.tile(LASER2EE, (count, 1, 1))
     poses[:, 0, 3] += np.linspace(0, 3e-3, count)
     path = LaserPath(poses, np.zeros(count), np.ones(count), np.full(count, 0.1), SCAN_NS, "tool0")
-    run(arm, path)
+    run(arm, path, 0.05)
     assert arm.executed == count

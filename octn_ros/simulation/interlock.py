@@ -1,0 +1,58 @@
+"""The interlock: the conditions under which the laser may be on, and which of them fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from octn_ros.settings import check_settings, setting
+
+
+@dataclass(frozen=True)
+class InterlockConfig:
+    """What the laser is turned off by, besides an abort."""
+
+    plan_max_age_s: float = setting(600.0, "age of the scan beyond which its plan is not fired", unit="s", low=0.0)
+    max_tissue_motion_m: float = setting(
+        100e-6, "distance of the tracked tissue from its place at the scan beyond which nothing is fired; 0 = not "
+        "watched", unit="m", low=0.0, high=0.1,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is known when the laser is about to be on.
+
+    Attributes:
+        enabled: whether a person has enabled the laser.
+        plan_age_s: time since the scan that the plan was made on, by the clock that stamped it.
+        planner_alive: whether whoever published the plan is still there.
+        tissue_moved_m: measured distance of the tissue from its place at that scan.
+    """
+
+    enabled: bool
+    plan_age_s: float
+    planner_alive: bool
+    tissue_moved_m: float
+
+
+def why_off(config: InterlockConfig, conditions: Conditions) -> str | None:
+    """Return the first reason why the laser must be off, None if it may be on; pure and thread-safe."""
+    if not conditions.enabled:
+        return "expected an enabled laser, got a disabled one; call enable_laser first"
+    if not 0.0 <= conditions.plan_age_s <= config.plan_max_age_s:
+        return (
+            f"expected a plan whose scan is 0 to {config.plan_max_age_s:g} s old, got one of "
+            f"{conditions.plan_age_s:.1f} s; scan and plan again"
+        )
+    if not conditions.planner_alive:
+        return "expected the planner that made the plan, got none in the graph; start it, scan and plan again"
+    # A distance that is not a number is no reason to fire.
+    if config.max_tissue_motion_m > 0.0 and not conditions.tissue_moved_m <= config.max_tissue_motion_m:
+        return (
+            f"expected tissue within {config.max_tissue_motion_m * 1e6:.0f} um of its place at the scan, got it "
+            f"{conditions.tissue_moved_m * 1e6:.0f} um away; scan and plan again"
+        )
+    return None

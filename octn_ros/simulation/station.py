@@ -1,0 +1,272 @@
+"""The simulated platform: scanner, arm and laser over one piece of tissue, with its interlock and its record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from octn_ros.errors import ExecutionError
+from octn_ros.simulation.ablation import PhantomTissue
+from octn_ros.simulation.arm import Arm, ArmConfig
+from octn_ros.simulation.audit import AuditRecord
+from octn_ros.simulation.execution import Execution, ExecutionOrder, Setting
+from octn_ros.simulation.inaccuracy import Inaccuracy, InaccuracyConfig
+from octn_ros.simulation.interlock import Conditions, InterlockConfig, why_off
+from octn_ros.simulation.laser import LaserConfig
+from octn_ros.simulation.laser_path import LaserPath
+from octn_ros.simulation.pose import inverse
+from octn_ros.simulation.scanner import Scanner
+from octn_ros.simulation.tissue_motion import TissueMotion, TissueMotionConfig
+from octn_ros.volume.volume import Volume
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """Where the machines sit, by the calibration file; read-only.
+
+    Attributes:
+        oct2ee: the OCT frame in the end-effector frame [4, 4].
+        laser2ee: the laser frame in the end-effector frame [4, 4].
+        home2base: pose of the end effector at a scan in the base frame [4, 4].
+        ee_frame: name of the end-effector frame.
+    """
+
+    oct2ee: NDArray[np.float64]
+    laser2ee: NDArray[np.float64]
+    home2base: NDArray[np.float64]
+    ee_frame: str = "tool0"
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is told with the request to execute: see `ExecutionOrder`."""
+
+    operator: str = ""
+    planner: str = ""
+    field_hash: str = ""
+
+
+class Station:
+    """The platform; not thread-safe: its owner calls it under one lock.
+
+    A plan is staged, and fired only by `execute`, with the laser enabled and every condition of the interlock held; all
+    of them are looked at again in each step, before anything is fired. A failed one turns the laser off, ends the
+    execution and disables the laser, and so does an abort.
+
+    Args:
+        mounting: where the machines sit.
+        arm: limits of the arm.
+        inaccuracy: how far all that is from the truth.
+        motion: how the tissue moves.
+        tissue: the phantom under the probe, or the C-scan that is played in place of one.
+        audit: the record of executions.
+        now_ns: present time.
+
+    Attributes:
+        arm: the arm.
+        tissue: the phantom; None for a recording, which nothing can be taken away from.
+        enabled: whether the laser is enabled.
+        execution: the present or last execution, None before the first.
+        no_plan: why nothing is staged.
+        scan_stamp_ns: acquisition time of the present scan, 0 before the first.
+    """
+
+    def __init__(
+        self,
+        mounting: Mounting,
+        arm: ArmConfig,
+        inaccuracy: InaccuracyConfig,
+        motion: TissueMotionConfig,
+        tissue: PhantomTissue | Volume,
+        audit: AuditRecord,
+        now_ns: int,
+    ) -> None:
+        self._mounting, self._audit = mounting, audit
+        errors = Inaccuracy(inaccuracy)
+        self._true_oct2ee = mounting.oct2ee @ errors.oct2oct
+        self.arm = Arm(arm, mounting.laser2ee, mounting.home2base, mounting.ee_frame, errors.stray)
+        self.tissue = tissue if isinstance(tissue, PhantomTissue) else None
+        self._recording = tissue if isinstance(tissue, Volume) else None
+        self._motion = TissueMotion(motion, now_ns * 1e-9, inaccuracy.seed)
+        self.enabled = False
+        self.execution: Execution | None = None
+        self.no_plan = "none has been received"
+        self.scan_stamp_ns = 0
+        self._scan_place_m, self._scan_hash = np.zeros(3), ""
+        self._path: LaserPath | None = None
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels of a full C-scan along (bscan, axial, lateral)."""
+        return self._recording.geometry.shape if self.tissue is None else self.tissue.config.shape  # type: ignore[union-attr]
+
+    def move_tissue(self, motion: TissueMotionConfig, now_ns: int) -> None:
+        """Let the tissue move otherwise from now on."""
+        self._motion.change(motion, now_ns * 1e-9)
+
+    def tissue_place_m(self, now_ns: int) -> NDArray[np.float64]:
+        """Return where the tissue lies [3], from its place at the start, metres in the OCT frame."""
+        return self._motion.place_m(now_ns * 1e-9)
+
+    def measured_motion_m(self, now_ns: int) -> NDArray[np.float64]:
+        """Return how far the tissue has moved since the scan [3] as its fiducials are tracked, in the OCT frame."""
+        return self._motion.measured_m(now_ns * 1e-9) - self._scan_place_m
+
+    # --- scans
+
+    def look(self, place_m: NDArray[np.float64], factor: int) -> Scanner:
+        """Return what a scan of the tissue at this place shows; slow where the tissue has changed.
+
+        Raises:
+            ConfigurationError: the tissue is out of the scan, or too few B-scans are left.
+        """
+        volume = self._recording if self.tissue is None else self.tissue.scan(place_m).volume
+        assert volume is not None
+        return Scanner(volume, factor)
+
+    def at_home(self) -> bool:
+        """Whether the arm stands where scans are taken."""
+        return bool(np.allclose(self.arm.commanded2base, self._mounting.home2base, atol=1e-9))
+
+    def go_home(self, now_ns: int) -> float:
+        """Let the arm go where scans are taken; return how long that will take, seconds of its own time.
+
+        Raises:
+            ExecutionError: the arm is moving.
+        """
+        return self.arm.go_to(self._mounting.home2base, now_ns)
+
+    def begin_scan(self, stamp_ns: int, scan_hash: str, place_m: NDArray[np.float64]) -> None:
+        """Take note of a scan; a plan of the one before is withdrawn."""
+        if self.arm.state == "staged":
+            self.no_plan = "a new scan has withdrawn the plan before it"
+        self.arm.withdraw()
+        self.scan_stamp_ns, self._scan_hash, self._scan_place_m = stamp_ns, scan_hash, place_m
+
+    # --- plans
+
+    def stage(self, path: LaserPath) -> None:
+        """Take a plan to be executed later.
+
+        Raises:
+            ExecutionError: the arm refuses it.
+        """
+        try:
+            self.arm.stage(path, self.scan_stamp_ns, self._mounting.home2base)
+        except ExecutionError as error:
+            self.no_plan = f"the last one was refused: {error}"
+            raise
+        self._path = path
+
+    @property
+    def staged(self) -> LaserPath | None:
+        """The staged plan, None if there is none."""
+        return self._path if self.arm.state == "staged" else None
+
+    def withdraw(self) -> None:
+        """Drop the staged plan because whoever made it has taken it back."""
+        self.arm.withdraw()
+        self.no_plan = "the planner has withdrawn the last one"
+
+    # --- execution
+
+    def execute(
+        self, order: Order, laser: LaserConfig, interlock: InterlockConfig, planner_alive: bool, now_ns: int
+    ) -> None:
+        """Begin to run the staged plan.
+
+        Raises:
+            ExecutionError: nothing is staged, the interlock says no, or the audit record cannot be written.
+        """
+        path = self.staged
+        if path is None:
+            why = "" if self.arm.state == "executing" else f"; {self.no_plan}"
+            raise ExecutionError(f"expected a staged plan, got none (the arm is {self.arm.state}); stage a plan{why}")
+        reason = self._why_off(interlock, planner_alive, now_ns)
+        if reason is not None:
+            raise ExecutionError(reason)
+        home2base = self._mounting.home2base
+        full = ExecutionOrder(
+            operator=order.operator,
+            planner=order.planner,
+            scan_stamp_ns=path.stamp_ns,
+            scan_hash=self._scan_hash,
+            field_hash=order.field_hash,
+            plan_hash=path.content_hash,
+            waypoints=len(path),
+        )
+        setting = Setting(
+            inverse(home2base @ self._mounting.oct2ee), inverse(home2base @ self._true_oct2ee), self._scan_place_m
+        )
+        self.execution = Execution(full, laser, setting, self.tissue, self._audit, now_ns)
+        self.arm.execute(now_ns, laser.dwell_s)
+
+    def step(
+        self, dt_s: float, interlock: InterlockConfig, planner_alive: bool, now_ns: int, factor: float
+    ) -> str | None:
+        """Let `dt_s` seconds of the clock pass, unless the interlock says no.
+
+        Args:
+            dt_s: time since the last step.
+            interlock: its limits.
+            planner_alive: whether whoever published the plan is still there.
+            now_ns: present time.
+            factor: seconds of the arm's time per second of the clock.
+
+        Returns:
+            Why the execution was stopped, None if it was not.
+        """
+        if self.arm.state != "executing":
+            self.arm.step(dt_s * factor)
+            return None
+        reason = self._why_off(interlock, planner_alive, now_ns)
+        if reason is not None:
+            return self.stop(reason, now_ns, factor)
+        shots = self.arm.step(dt_s * factor)
+        try:
+            self._fire(shots, now_ns, factor)
+            if self.arm.state == "done" and self.execution is not None:
+                self.no_plan = "the last one has been executed"
+                self.execution.end("done", "", now_ns)
+        except ExecutionError as error:
+            return self.stop(str(error), now_ns, factor)
+        return None
+
+    def stop(self, reason: str, now_ns: int, factor: float) -> str:
+        """Turn the laser off at once and disable it, stop the arm where it is, and drop its plan; return why."""
+        state = self.arm.state
+        self.enabled = False
+        cut = self.arm.abort()
+        if state in ("staged", "executing"):
+            self.no_plan = f"the last one was stopped: {reason}"
+        if state == "executing" and self.execution is not None:
+            try:
+                self._fire(cut, now_ns, factor)
+                self.execution.end("aborted", reason, now_ns)
+            except ExecutionError as error:
+                reason = f"{reason}; {error}"
+        return reason
+
+    def figures(self) -> dict[str, Any]:
+        """Return the totals of the present or last execution and its order; nothing before the first."""
+        if self.execution is None:
+            return {}
+        order = self.execution.order
+        hashes = {"scan_hash": order.scan_hash, "field_hash": order.field_hash, "plan_hash": order.plan_hash}
+        return {**hashes, "planner": order.planner, "operator": order.operator, **self.execution.figures()}
+
+    def _fire(self, shots: list[Any], now_ns: int, factor: float) -> None:
+        if not shots or self.execution is None:
+            return
+        elapsed_s = self.arm.elapsed_s
+        stamps = [now_ns - round((elapsed_s - shot.start_s) / factor * 1e9) for shot in shots]
+        self.execution.fire(shots, stamps, self.tissue_place_m(now_ns))
+
+    def _why_off(self, interlock: InterlockConfig, planner_alive: bool, now_ns: int) -> str | None:
+        assert self._path is not None
+        moved_m = float(np.linalg.norm(self.measured_motion_m(now_ns)))
+        age_s = (now_ns - self._path.stamp_ns) * 1e-9
+        return why_off(interlock, Conditions(self.enabled, age_s, planner_alive, moved_m))
