@@ -76,6 +76,6 @@ __all__ = [
     "rectangle_corners",
     "rectangle_raster",
     "rectangle_region",
-    "waypoint_poses",
     "warm_up_steps",
+    "waypoint_poses",
 ]
