@@ -48,9 +48,10 @@ class SimulatorConfig:
         "", "who answers for what is executed, for the audit record; ROS services do not know their callers"
     )
     audit_path: str = setting(
-        "auto", "file that the record of executions is added to; auto = $ROS_HOME/octn_ros/audit.jsonl (~/.ros if ROS_HOME "
-        "is not set), empty = no record",
-    )  # fmt: skip
+        "auto",
+        "file that the record of executions is added to; auto = $ROS_HOME/octn_ros/audit.jsonl (ROS_HOME is ~/.ros if "
+        "not set), empty = no record",
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
