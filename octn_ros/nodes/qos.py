@@ -20,6 +20,22 @@ STREAM = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 
+# The same of which a late joiner wants the last: who follows the reports asks with STREAM, who joins with LATCHED.
+REPORTS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=50,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# Questions by topic and their answers; each may hold a million points, so the queue is short.
+REQUESTS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
 _SMALLEST_SCAN_DEPTH = 1024  # more than the B-scans of any C-scan in the paper; the queue is only filled when needed
 
 

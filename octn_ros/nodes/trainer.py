@@ -56,7 +56,7 @@ class Trainer(Node):
         self._newest: NewScan | None = None
 
         self._diagnostics = NodeDiagnostics(self, self._describe)
-        self._progress = status.StatusTopic(self, "fit_progress", qos.STREAM)
+        self._progress = status.StatusTopic(self, "fit_progress", qos.REPORTS)
         self._present = PresentScan(self, self._poses, self._largest_pose_gap_s, self._store)
         self._fitter = FieldFitter(
             self._device, self._present, self._progress, self._diagnostics.failed, self.context.ok
