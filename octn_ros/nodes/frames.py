@@ -18,7 +18,7 @@ class ScanFrames:
     """What is known about space at the time of one scan; immutable.
 
     Attributes:
-        calibration: relates the OCT frame to the end effector.
+        calibration: relates the OCT frame and the laser frame to the end effector.
         ee2base: pose of the end effector in the robot's base at the time of the scan [4, 4], None if unknown.
     """
 
@@ -32,22 +32,26 @@ class ScanFrames:
             PlanError: nobody knows the frame.
             CalibrationError: the pose is not a finite, rigid one.
         """
-        frame = pose.header.frame_id
-        return self._frame2oct(frame) @ pose_to_matrix(pose.pose)
+        return self.frame2oct(pose.header.frame_id) @ pose_to_matrix(pose.pose)
 
-    def _frame2oct(self, frame: str) -> NDArray[np.float64]:
+    def frame2oct(self, frame: str) -> NDArray[np.float64]:
+        """Return the transform [4, 4] of points of a named frame, as it lay at the time of the scan, into the OCT's.
+
+        Raises:
+            PlanError: nobody knows the frame.
+        """
         calibration = self.calibration
-        if frame == calibration.oct_frame:
-            return np.eye(4)
         ee2oct = invert(calibration.oct2ee)
-        if frame == calibration.ee_frame:
-            return ee2oct
-        if frame == calibration.base_frame and self.ee2base is not None:
-            return ee2oct @ invert(self.ee2base)
-        known = [calibration.oct_frame, calibration.ee_frame]
-        hint = ""
+        known = {
+            calibration.oct_frame: np.eye(4),
+            calibration.ee_frame: ee2oct,
+            calibration.laser_frame: ee2oct @ calibration.laser2ee,
+        }
         if self.ee2base is not None:
-            known.append(calibration.base_frame)
-        elif frame == calibration.base_frame:
+            known[calibration.base_frame] = ee2oct @ invert(self.ee2base)
+        if frame in known:
+            return known[frame]
+        hint = ""
+        if frame == calibration.base_frame:
             hint = "; the pose of the end effector at the time of the scan (scan_ee_pose) is not known"
-        raise PlanError(f"expected a pose in one of the frames {', '.join(known)}, got frame_id {frame!r}{hint}")
+        raise PlanError(f"expected one of the frames {', '.join(known)}, got frame_id {frame!r}{hint}")

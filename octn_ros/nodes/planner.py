@@ -11,20 +11,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
-from octn_ros.errors import OctnError, PlanError
+from octn_ros.errors import PlanError
 from octn_ros.field.device import DEVICE_DESCRIPTION, torch_device
 from octn_ros.nodes import conversions, process, qos, status
+from octn_ros.nodes.answers import Answers
+from octn_ros.nodes.diagnostics import NodeDiagnostics
 from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.parameters import ConfigParameters
+from octn_ros.nodes.plan_publisher import PlanPublisher
+from octn_ros.nodes.plan_view import PlanView
+from octn_ros.nodes.scan_poses import ScanPoses
 from octn_ros.nodes.worker import run_aside
 from octn_ros.planning import (
     Plan,
@@ -34,13 +37,12 @@ from octn_ros.planning import (
     load_calibration,
     load_keep_out,
     plan_region,
+    raster_pattern,
     rectangle_region,
 )
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
 from octn_ros.training.warm_up import warm_up_queries
-
-KEPT_POSES = 8  # scan_ee_pose of the last scans: the pose of a scan comes before its field
 
 # What a service is asked to plan, from the present field and the pose of its scan.
 Wanted = Callable[[ReceivedField, "NDArray[np.float64] | None"], tuple[Region, PlannerConfig]]
@@ -53,6 +55,9 @@ class PlannerNodeConfig:
     device: str = setting("auto", DEVICE_DESCRIPTION)
     calibration: str = setting("", "calibration file (YAML); empty = the package's config/calibration.yaml")
     keep_out: str = setting("", "file of keep-out regions (YAML) that no plan may touch; empty = none")
+    largest_plan: int = setting(
+        100_000, "largest number of waypoints of a plan; more are refused", low=1, high=1_000_000
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -66,24 +71,23 @@ class Planner(Node):
 
     def __init__(self, *, namespace: str = "octn", **options: Any) -> None:
         super().__init__("planner", namespace=namespace, **options)
-        config = ConfigParameters(self, PlannerNodeConfig(), read_only=True).config()
+        self._config = ConfigParameters(self, PlannerNodeConfig(), read_only=("device", "calibration", "keep_out"))
+        config = self._config.config()
         self._planner_config = ConfigParameters(self, PlannerConfig())
         self._region_config = ConfigParameters(self, RegionConfig(), "region")
         self._calibration = load_calibration(config.calibration or config_path("calibration.yaml"))
         self._keep_out = load_keep_out(config.keep_out, self._calibration) if config.keep_out else ()
-        self._scan_poses: dict[int, NDArray[np.float64]] = {}
-        self._plan_stands = False
 
+        self._diagnostics = NodeDiagnostics(self, self._describe)
         self._status = status.StatusTopic(self, "plan_status", qos.LATCHED)
-        self._waypoints = self.create_publisher(PoseArray, "waypoints", qos.LATCHED)
-        self._waypoints_base = self.create_publisher(PoseArray, "waypoints_base", qos.LATCHED)
-        self._waypoints_oct = self.create_publisher(PoseArray, "waypoints_oct", qos.LATCHED)
-        self._tool_path = self.create_publisher(PointCloud2, "tool_path", qos.LATCHED)
+        self._answers = Answers(self._diagnostics, self._status)
+        self._publisher = PlanPublisher(self, self._calibration)
+        self._view = PlanView(self, self._calibration, self._on_bad_view)
         # One group for all of them: no field arrives in the middle of a plan, so no plan mixes two fields.
         group = MutuallyExclusiveCallbackGroup()
         device = torch_device(config.device)
         self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
-        self.create_subscription(PoseStamped, "scan_ee_pose", self._on_scan_ee_pose, qos.LATCHED, callback_group=group)
+        self._scan_poses = ScanPoses(self, self._calibration.base_frame, group)
         self.create_service(GetPlan, "plan_raster", self._plan_raster, callback_group=group)
         self.create_service(Trigger, "replan", self._replan, callback_group=group)
         self.get_logger().info(
@@ -92,37 +96,41 @@ class Planner(Node):
         )
         run_aside(lambda: warm_up_queries(device=device), "warm-up")
 
-    # --- fields and poses
+    def destroy_node(self) -> None:
+        """End the thread that draws, then the node."""
+        self._view.close()
+        super().destroy_node()
+
+    # --- fields
 
     def _on_field(self, received: ReceivedField) -> None:
-        of_field = {
-            "state": "ready",
-            "stamp_ns": received.stamp_ns,
-            "field_hash": received.hash,
-            "field_kind": received.field.kind,
-        }
-        if self._plan_stands:
-            self._withdraw(received)
+        of_field = {"state": "ready", **self._told(received)}
+        if self._publisher.stands:
+            self._publisher.withdraw(received)
+            self._view.clear(received)
             self._status.report(status.WARN, "a new field has come; the plan of the last one is withdrawn", of_field)
         else:
             self._status.report(status.OK, "a field has come; ready to plan", of_field)
 
     def _on_bad_field(self, reason: str) -> None:
-        self._status.report(status.ERROR, f"field refused, the last one is kept: {reason}", {"state": "refused"})
+        kept = self._fields.current
+        self._status.report(status.ERROR, reason, {"state": "refused", **(self._told(kept) if kept else {})})
+        self._diagnostics.failed(reason)
 
-    def _on_scan_ee_pose(self, message: PoseStamped) -> None:
-        base = self._calibration.base_frame
-        if message.header.frame_id != base:
-            self.get_logger().error(f"scan_ee_pose ignored: expected it in {base}, got {message.header.frame_id!r}")
-            return
-        try:
-            pose = conversions.pose_to_matrix(message.pose)
-        except OctnError as error:
-            self.get_logger().error(f"scan_ee_pose ignored: {error}")
-            return
-        self._scan_poses[conversions.stamp_to_ns(message.header.stamp)] = pose
-        while len(self._scan_poses) > KEPT_POSES:
-            del self._scan_poses[next(iter(self._scan_poses))]
+    def _on_bad_view(self, reason: str) -> None:
+        self.get_logger().error(f"the plan cannot be shown: {reason}")
+        self._diagnostics.failed(f"the plan cannot be shown: {reason}")
+
+    def _told(self, received: ReceivedField) -> dict[str, Any]:
+        return {**received.identity(), "field_age_s": self._diagnostics.age_s(received.stamp_ns)}
+
+    def _describe(self) -> tuple[bytes, str, dict[str, Any]]:
+        received = self._fields.current
+        if received is None:
+            return status.OK, "no field yet", {"plan_stands": False}
+        stands = self._publisher.stands
+        values = {**self._told(received), "plan_stands": stands}
+        return status.OK, "a plan stands" if stands else "ready to plan", values
 
     # --- plans
 
@@ -153,69 +161,44 @@ class Planner(Node):
 
     def _plan(self, service: str, wanted: Wanted) -> tuple[Plan | None, str]:
         """Plan and publish what a service was asked for; or report why not. Returns the plan and what happened."""
-        try:
-            received = self._fields.current
-            if received is None:
-                raise PlanError("expected a fitted field, got none yet; scan or load a C-scan and wait for its fit")
-            ee2base = self._scan_poses.get(received.stamp_ns)
-            region, config = wanted(received, ee2base)
-            plan = plan_region(
-                received.field,
-                self._calibration,
-                region,
-                config,
-                field_hash=received.hash,
-                keep_out=self._keep_out,
-                scan_ee2base=ee2base,
-            )
-        except OctnError as error:
-            reason = f"{service} refused: {error}"
-            self._status.report(status.ERROR, reason, {"state": "refused"})
-            return None, reason
-        except Exception as error:  # a fault of ours, or memory that ran out: the node and its callers live on
-            reason = f"{service} failed: {type(error).__name__}: {error}"
-            self._status.report(status.ERROR, reason, {"state": "failed"})
-            return None, reason
-        return plan, self._publish(received, plan, ee2base)
+        answered, reason = self._answers.to(service, lambda: self._plan_and_publish(wanted))
+        return answered or (None, reason)
 
-    def _publish(self, received: ReceivedField, plan: Plan, ee2base: NDArray[np.float64] | None) -> str:
-        rows = conversions.tool_path(
-            plan.waypoints_ee, plan.segment, plan.laser_on, plan.speed_m_s, plan.residual, plan.confidence
+    def _plan_and_publish(self, wanted: Wanted) -> tuple[Plan, str]:
+        received = self._fields.required()
+        ee2base = self._scan_poses.ee2base(received.stamp_ns)
+        region, config = wanted(received, ee2base)
+        largest = self._config.config().largest_plan
+        # Counted in the lateral plane before anything is searched; on a bent surface there may be more.
+        _check_size(len(raster_pattern(region, config.raster).points_m), largest)
+        plan = plan_region(
+            received.field,
+            self._calibration,
+            region,
+            config,
+            field_hash=received.hash,
+            keep_out=self._keep_out,
+            scan_ee2base=ee2base,
         )
-        base = np.empty((0, 4, 4)) if ee2base is None else ee2base @ plan.waypoints_ee
-        self._send(received, rows, plan.waypoints_ee, plan.waypoints_oct, base)
-        self._plan_stands = True
-        text = f"{len(rows)} waypoints in {plan.seconds['total']:.2f} s, hit rate {plan.hit_rate:.1%}"
-        self._status.report(status.OK, text, _figures(plan))
-        return text
+        _check_size(len(plan.segment), largest)
+        self._publisher.publish(received, plan, ee2base)
+        text = f"{len(plan.segment)} waypoints in {plan.seconds['total']:.2f} s, hit rate {plan.hit_rate:.1%}"
+        self._status.report(status.OK, text, {**_figures(plan), **self._told(received)})
+        self._view.show(received, plan, ee2base)
+        return plan, text
 
-    def _withdraw(self, received: ReceivedField) -> None:
-        nothing = np.empty((0, 4, 4))
-        self._send(received, np.empty(0, conversions.TOOL_PATH), nothing, nothing, nothing)
-        self._plan_stands = False
 
-    def _send(
-        self,
-        received: ReceivedField,
-        rows: NDArray[np.void],
-        ee: NDArray[np.float64],
-        oct_: NDArray[np.float64],
-        base: NDArray[np.float64],
-    ) -> None:
-        stamp_ns, calibration = received.stamp_ns, self._calibration
-        self._tool_path.publish(conversions.to_cloud(rows, stamp_ns, calibration.ee_frame))
-        self._waypoints_oct.publish(conversions.to_pose_array(oct_, stamp_ns, received.frame))
-        if len(base) or self._plan_stands:  # without a pose there is nothing to say, except that the old ones are over
-            self._waypoints_base.publish(conversions.to_pose_array(base, stamp_ns, calibration.base_frame))
-        self._waypoints.publish(conversions.to_pose_array(ee, stamp_ns, calibration.ee_frame))
+def _check_size(waypoints: int, largest: int) -> None:
+    if waypoints > largest:
+        raise PlanError(
+            f"expected at most {largest:,} waypoints (parameter largest_plan), got {waypoints:,}; take a smaller "
+            "region or wider spacings"
+        )
 
 
 def _figures(plan: Plan) -> dict[str, Any]:
     return {
         "state": "planned",
-        "stamp_ns": plan.stamp_ns,
-        "field_kind": plan.field_kind,
-        "field_hash": plan.field_hash,
         "method": plan.method,
         "tau": plan.tau,
         "hit_rate": plan.hit_rate,

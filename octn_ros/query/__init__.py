@@ -8,6 +8,7 @@ from octn_ros.query.lattice import Lattice
 from octn_ros.query.mesh import SurfaceMesh, iso_surface
 from octn_ros.query.native_surface import native_surface
 from octn_ros.query.near_surface import NearSurface
+from octn_ros.query.points import PointIntensities, evaluate_points
 from octn_ros.query.regions import Box, EnfacePolygon, Region, Sphere, polygon
 from octn_ros.query.rendering import RenderConfig, Rendering, render
 from octn_ros.query.slice_spec import SliceImage, SliceSpec
@@ -24,6 +25,7 @@ __all__ = [
     "Lattice",
     "NearSurface",
     "Plane",
+    "PointIntensities",
     "Region",
     "RenderConfig",
     "Rendering",
@@ -37,6 +39,7 @@ __all__ = [
     "bscan_slice",
     "distance_to_mesh",
     "enface",
+    "evaluate_points",
     "find_band",
     "iso_surface",
     "lateral_slice",

@@ -16,7 +16,7 @@ from octn_ros.nodes.bscan_pairs import BScanPairs
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
 from octn_ros.nodes.worker import Worker
-from octn_ros.planning import from_translation_quaternion, load_calibration
+from octn_ros.planning import from_translation_quaternion, invert, load_calibration
 from octn_ros.resources import config_path
 
 WAIT_S = 20.0
@@ -115,13 +115,14 @@ def test_frames_lead_back_to_the_oct_frame() -> None:
         ("oct_optical_frame", np.eye(4)),
         ("tool0", calibration.oct2ee),
         ("base_link", ee2base @ calibration.oct2ee),
+        ("laser_frame", invert(calibration.laser2ee) @ calibration.oct2ee),
     ):
         np.testing.assert_allclose(frames.to_oct(pose_in(frame, oct2frame @ pose)), pose, atol=1e-12)
 
 
 def test_a_frame_nobody_knows_is_refused_with_those_that_are_known() -> None:
     frames = ScanFrames(load_calibration(config_path("calibration.yaml")))
-    with pytest.raises(PlanError, match=r"oct_optical_frame, tool0, got frame_id 'map'$"):
+    with pytest.raises(PlanError, match=r"oct_optical_frame, tool0, laser_frame, got frame_id 'map'$"):
         frames.to_oct(pose_in("map", np.eye(4)))
     with pytest.raises(PlanError, match="scan_ee_pose"):
         frames.to_oct(pose_in("base_link", np.eye(4)))
