@@ -14,8 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from octn_ros.field.compiled.arrays import Encoding, Perceptron, WayBack
-from octn_ros.field.compiled.layers import add_outer, gate, multiply, run_network
-from octn_ros.field.compiled.options import BRICK, KERNEL, TILE
+from octn_ros.field.compiled.layers import add_outer, enter_backwards, gate, multiply, run_network
+from octn_ros.field.compiled.options import BRICK, KERNEL, LAYER, TILE
 from octn_ros.field.compiled.walk import blend_layer, new_walk, spread_layer, spread_rows, walk_level
 
 # Table rows are dealt to lanes in runs of this many, so that no two threads write into one cache line.
@@ -45,11 +45,15 @@ class Touched(NamedTuple):
         rows: table rows [bricks, vertices]; a brick fills as many as `counts` says.
         gradients: of each [bricks, vertices, features].
         counts: how many they are [bricks].
+        order: places of `rows` sorted by the lane that the row is dealt to [bricks, vertices].
+        first: where each lane begins in `order`, and where the last one ends [bricks, lanes + 1].
     """
 
     rows: NDArray[np.int64]
     gradients: NDArray[np.float32]
     counts: NDArray[np.int64]
+    order: NDArray[np.int32]
+    first: NDArray[np.int64]
 
 
 @njit(**KERNEL)
@@ -142,28 +146,27 @@ def pass_lane(
                         touched.rows[brick, count] = walk.rows[z, y, x]
                         count += 1
         touched.counts[brick] = count
-        for k in range(BRICK):
-            if weights[0, k] == 0:
-                continue
-            blend_layer(k, walk, encoded)
+        _deal(touched.rows[brick, :count], lanes, touched.order[brick], touched.first[brick])
+        for k in range(0, BRICK, TILE // LAYER):
+            layers = range(k, k + TILE // LAYER)
+            for layer in layers:
+                blend_layer(layer, walk, encoded, (layer - k) * LAYER)
             run_network(perceptron, encoded, activations, error)
             total, square = np.float32(0.0), np.float32(0.0)
-            for y in range(BRICK):
-                for x in range(BRICK):
-                    i = y * BRICK + x
-                    error[i] = (error[i] - targets[brick, k * TILE + i]) * weights[1, y] * weights[2, x]
-                    total += error[i]
-                    square += error[i] * error[i]
+            for layer in layers:
+                for y in range(BRICK):
+                    first = y * BRICK
+                    here = error[(layer - k) * LAYER + first : (layer - k) * LAYER + first + BRICK]
+                    wanted = targets[brick, layer * LAYER + first : layer * LAYER + first + BRICK]
+                    weight = weights[0, layer] * weights[1, y]
+                    for x in range(BRICK):
+                        here[x] = (here[x] - wanted[x]) * (weight * weights[2, x])
+                        total += here[x]
+                        square += here[x] * here[x]
             sums.output_bias[lane] += total
             squared_error[lane] += square
             now = 0
-            for j in range(neurons):
-                total = np.float32(0.0)
-                for i in range(TILE):
-                    total += error[i] * activations[last, j, i]
-                    passed[now, j, i] = error[i] * perceptron.output[j]
-                sums.output[lane, j] += total
-            gate(activations[last], passed[now])
+            enter_backwards(perceptron.output, error, activations[last], passed[now], sums.output[lane])
             for layer in range(last - 1, -1, -1):
                 add_outer(passed[now], activations[layer], sums.more[lane, layer], sums.more_bias[lane, layer])
                 multiply(back.more[layer], passed[now], passed[1 - now])
@@ -171,7 +174,8 @@ def pass_lane(
                 gate(activations[layer], passed[now])
             add_outer(passed[now], encoded, sums.first[lane], sums.first_bias[lane])
             multiply(back.first, passed[now], by_encoded)
-            spread_layer(k, by_encoded, walk, by_layers)
+            for layer in layers:
+                spread_layer(layer, by_encoded, (layer - k) * LAYER, walk, by_layers)
         place = 0
         for level in range(levels):
             spread_rows(level, walk, by_layers[level], touched.gradients[brick], place)
@@ -179,11 +183,25 @@ def pass_lane(
 
 
 @njit(**KERNEL)
+def _deal(rows: NDArray[np.int64], lanes: int, order: NDArray[np.int32], first: NDArray[np.int64]) -> None:
+    """Sort the places of `rows` by lane: `first` [lanes + 1] of each, and the `order`, which keeps that of `rows`."""
+    first[:] = 0
+    for row in rows:
+        first[(row // _ROW_RUN) % lanes + 1] += 1
+    for lane in range(lanes):
+        first[lane + 1] += first[lane]
+    filled = first.copy()
+    for place in range(len(rows)):
+        lane = (rows[place] // _ROW_RUN) % lanes
+        order[filled[lane]] = place
+        filled[lane] += 1
+
+
+@njit(**KERNEL)
 def sum_lane(
     lane: int,
-    lanes: int,
     touched: Touched,
-    stamp: NDArray[np.int32],
+    seen: NDArray[np.int32],
     step: int,
     gradient: NDArray[np.float32],
     distinct: NDArray[np.int64],
@@ -191,8 +209,11 @@ def sum_lane(
     """Sum the gradients of this lane's table rows over all bricks, in their order.
 
     Args:
-        stamp: the step in which each row was last touched [rows]; brought up to date.
-        gradient: written: gradient of each row touched in this step [rows, features].
+        touched: what the bricks have touched.
+        seen: for each row the step that touched it last, and its place in that step's sums [rows, 2]; brought up to
+            date.
+        step: number of this step.
+        gradient: written: the sums of this lane's rows [rows of the lane, features].
         distinct: written: this lane's rows.
 
     Returns:
@@ -201,19 +222,18 @@ def sum_lane(
     count = 0
     features = gradient.shape[1]
     for brick in range(len(touched.counts)):
-        for place in range(touched.counts[brick]):
+        for sorted_place in range(touched.first[brick, lane], touched.first[brick, lane + 1]):
+            place = touched.order[brick, sorted_place]
             row = touched.rows[brick, place]
-            if (row // _ROW_RUN) % lanes != lane:
-                continue
-            if stamp[row] != step:
-                stamp[row] = step
+            if seen[row, 0] != step:
+                seen[row, 0], seen[row, 1] = step, count
                 distinct[count] = row
-                count += 1
                 for f in range(features):
-                    gradient[row, f] = touched.gradients[brick, place, f]
+                    gradient[count, f] = touched.gradients[brick, place, f]
+                count += 1
             else:
                 for f in range(features):
-                    gradient[row, f] += touched.gradients[brick, place, f]
+                    gradient[seen[row, 1], f] += touched.gradients[brick, place, f]
     return count
 
 
@@ -231,11 +251,14 @@ def adam_rows(
     correction2: np.float32,
     epsilon: np.float32,
 ) -> None:
-    """Do Adam's step on the given rows of the table alone; `moments` [rows, 2 * features] holds both averages."""
+    """Do Adam's step on the given rows of the table alone, whose gradients are `factor` times those given in the same
+    order; `moments` [table rows, 2 * features] holds both averages.
+    """
     features = table.shape[1]
-    for row in rows:
+    for place in range(len(rows)):
+        row = rows[place]
         for f in range(features):
-            g = factor * gradient[row, f]
+            g = factor * gradient[place, f]
             mean = beta1 * moments[row, f] + (np.float32(1.0) - beta1) * g
             square = beta2 * moments[row, features + f] + (np.float32(1.0) - beta2) * g * g
             moments[row, f] = mean

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from octn_ros.field import NeuralModel
-from octn_ros.field.compiled.arrays import Perceptron
+from octn_ros.field.compiled.arrays import Perceptron, WayBack
 from octn_ros.field.compiled.evaluator import CompiledEvaluator
 from octn_ros.field.compiled.model import encoding_of, perceptron_of, way_back_of, workers
 from octn_ros.field.compiled.options import BRICK
@@ -85,14 +85,19 @@ class BrickTrainer:
             rows=np.empty((self._bricks, most), np.int64),
             gradients=np.empty((self._bricks, most, table.shape[1]), np.float32),
             counts=np.zeros(self._bricks, np.int64),
+            order=np.empty((self._bricks, most), np.int32),
+            first=np.zeros((self._bricks, _LANES + 1), np.int64),
         )
-        self._distinct = np.empty((_LANES, self._bricks * most), np.int64)
-        self._gradient = np.empty_like(table)
+        # Of all lanes, one after the other.
+        self._distinct = np.empty(self._bricks * most, np.int64)
+        self._gradient = np.empty((self._bricks * most, table.shape[1]), np.float32)
         self._moments = np.zeros((len(table), 2 * table.shape[1]), np.float32)
-        self._stamp = np.zeros(len(table), np.int32)
+        self._seen = np.zeros((len(table), 2), np.int32)
         self._parameters = [
             p.detach().numpy() for layer in model.network.linear_layers for p in (layer.weight, layer.bias)
         ]
+        self._perceptron = perceptron_of(model)
+        self._back = way_back_of(self._perceptron)
         self._parameter_moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self._parameters]
         self._step = 0
         self.trained: torch.nn.Module = model
@@ -133,8 +138,7 @@ class BrickTrainer:
         self.evaluate(torch.zeros(1, 3))
 
     def _pass(self, bricks: Samples) -> tuple[list[NDArray[np.float32]], float]:
-        perceptron = perceptron_of(self._model)
-        back = way_back_of(perceptron)
+        perceptron, back = self._network()
         sums = Perceptron(*(np.zeros((_LANES, *np.shape(p)), np.float32) for p in perceptron))
         squared_error = np.zeros(_LANES)
         targets = np.empty((len(bricks.coordinates), BRICK_SAMPLES), np.float32)
@@ -145,7 +149,7 @@ class BrickTrainer:
                 number, _LANES, bricks, targets, self._encoding, perceptron, back, self._touched, sums, squared_error
             )
 
-        list(workers().map(lane, range(_LANES)))
+        _for_every_lane(lane)
         first, first_bias, more, more_bias, output, output_bias = (s.sum(axis=0) for s in sums)
         padded = [first, first_bias]
         for weight, bias in zip(more, more_bias, strict=True):
@@ -160,16 +164,30 @@ class BrickTrainer:
         beta1, beta2 = (np.float32(beta) for beta in _BETAS)
         correction1, correction2 = (np.float32(c) for c in corrections)
 
+        ends = np.cumsum(np.diff(self._touched.first).sum(axis=0)).tolist()
+
         def lane(number: int) -> None:
-            count = sum_lane(
-                number, _LANES, self._touched, self._stamp, self._step, self._gradient, self._distinct[number]
-            )
+            part = slice(ends[number - 1] if number else 0, ends[number])
+            rows, gradient = self._distinct[part], self._gradient[part]
+            count = sum_lane(number, self._touched, self._seen, self._step, gradient, rows)
             adam_rows(
-                self._distinct[number, :count], self._encoding.table, self._gradient, self._moments, factor, rate,
+                rows[:count], self._encoding.table, gradient, self._moments, factor, rate,
                 beta1, beta2, correction1, correction2, np.float32(_EPSILON),
             )  # fmt: skip
 
-        list(workers().map(lane, range(_LANES)))
+        _for_every_lane(lane)
+
+    def _network(self) -> tuple[Perceptron, WayBack]:
+        """Return the network as it is now, in arrays that are kept from step to step."""
+        first, first_bias, more, more_bias, output, _ = self._perceptron
+        padded = [first, first_bias]
+        for weight, bias in zip(more, more_bias, strict=True):
+            padded += [weight, bias]
+        for into, parameter in zip([*padded, output[None]], self._parameters, strict=False):
+            into[tuple(slice(size) for size in parameter.shape)] = parameter
+        self._back.first[:] = first.T
+        self._back.more[:] = more.transpose(0, 2, 1)
+        return self._perceptron._replace(output_bias=np.float32(self._parameters[-1][0])), self._back
 
     def _update_network(
         self, rate: float, gradients: list[NDArray[np.float32]], corrections: tuple[float, ...]
@@ -180,6 +198,22 @@ class BrickTrainer:
             mean += (1.0 - _BETAS[0]) * (gradient - mean)
             square += (1.0 - _BETAS[1]) * (gradient**2 - square)
             parameter -= rate * corrections[0] * mean / (np.sqrt(corrections[1] * square) + _EPSILON)
+
+
+def _for_every_lane(job: Callable[[int], None]) -> None:
+    """Do a job for every lane, on the kernels' threads and on this one, which would wait for them anyway."""
+    # The threads share the iterator, which gives each number once: whoever is free takes the next lane.
+    lanes = iter(range(_LANES))
+
+    def take() -> None:
+        for lane in lanes:
+            job(lane)
+
+    helpers = [workers().submit(take) for _ in range(min(torch.get_num_threads(), _LANES) - 1)]
+    take()
+    for helper in helpers:
+        if not helper.cancel():
+            helper.result()
 
 
 def sample_count(bricks: Samples) -> int:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from octn_ros.field.compiled.arrays import Encoding, Perceptron
 from octn_ros.field.compiled.layers import run_network
 from octn_ros.field.compiled.model import workers
-from octn_ros.field.compiled.options import BRICK, KERNEL, TILE
+from octn_ros.field.compiled.options import BRICK, KERNEL, LAYER, TILE
 from octn_ros.field.compiled.walk import blend_layer, new_walk, walk_level
 
 
@@ -50,10 +50,12 @@ def _slab(
     neurons, inputs = perceptron.first.shape
     coordinates = np.empty((3, BRICK), np.float32)
     walk = new_walk(levels, features)
-    encoded = np.zeros((inputs, TILE), np.float32)
-    activations = np.empty((perceptron.more.shape[0] + 1, neurons, TILE), np.float32)
-    values = np.empty(TILE, np.float32)
-    last_bscan = min(first_bscan + BRICK, len(bscan))
+    layers = min(BRICK, len(bscan) - first_bscan)
+    # A lone layer does not pay for a tile of several.
+    tile = LAYER * min(layers, TILE // LAYER)
+    encoded = np.zeros((inputs, tile), np.float32)
+    activations = np.empty((perceptron.more.shape[0] + 1, neurons, tile), np.float32)
+    values = np.empty(tile, np.float32)
     for k in range(BRICK):
         coordinates[0, k] = bscan[min(first_bscan + k, len(bscan) - 1)]
     for first_axial in range(0, len(axial), BRICK):
@@ -64,9 +66,13 @@ def _slab(
                 coordinates[2, k] = lateral[min(first_lateral + k, len(lateral) - 1)]
             for level in range(levels):
                 walk_level(level, coordinates, encoding, walk)
-            for k in range(last_bscan - first_bscan):
-                blend_layer(k, walk, encoded)
+            for k in range(0, layers, tile // LAYER):
+                together = range(k, min(k + tile // LAYER, layers))
+                for layer in together:
+                    blend_layer(layer, walk, encoded, (layer - k) * LAYER)
                 run_network(perceptron, encoded, activations, values)
-                for y in range(min(BRICK, len(axial) - first_axial)):
-                    for x in range(min(BRICK, len(lateral) - first_lateral)):
-                        answer[first_bscan + k, first_axial + y, first_lateral + x] = values[y * BRICK + x]
+                for layer in together:
+                    for y in range(min(BRICK, len(axial) - first_axial)):
+                        place = (layer - k) * LAYER + y * BRICK
+                        for x in range(min(BRICK, len(lateral) - first_lateral)):
+                            answer[first_bscan + layer, first_axial + y, first_lateral + x] = values[place + x]

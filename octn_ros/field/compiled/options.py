@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-# Lattice points are walked in bricks of this many along each axis, points and brick layers in tiles of TILE.
+# Lattice points are walked in bricks of this many along each axis, of which a layer lies in one plane of B-scans. The
+# network runs on tiles of points, two layers at a time where there are two: wide enough that a loop's setting up does
+# not count, small enough for a layer of the network to stay in the nearest cache.
 BRICK = 8
-TILE = BRICK * BRICK
+LAYER = BRICK * BRICK
+TILE = 2 * LAYER
 
 # Compiled code is cached beside the package, or in the user's cache where that cannot be written. The cache notices a
 # change of a kernel's own file, not of one that it calls or of these options: after editing kernels, delete the *.nbi

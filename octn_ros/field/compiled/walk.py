@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from octn_ros.field.compiled.arrays import Encoding
-from octn_ros.field.compiled.options import BRICK, KERNEL
+from octn_ros.field.compiled.options import BRICK, KERNEL, LAYER
 
 # Vertices that the points of a brick can need along one axis: two each, if none is shared.
 MOST_VERTICES = 2 * BRICK
@@ -99,20 +99,21 @@ class Walk(NamedTuple):
         counts: vertices of each level along (bscan, axial, lateral) [levels, 3].
         near: index of the vertex before each point, likewise [levels, 3, BRICK].
         share: weight of the vertex after it [levels, 3, BRICK].
-        layers: vertices blended along the lateral and axial axes [levels, bscan vertex, features, TILE], a tile's
-            place being axial * BRICK + lateral.
+        lateral: weight of each lateral vertex for each point, most of them 0 [levels, MOST_VERTICES, BRICK].
+        layers: vertices blended along the lateral and axial axes [levels, bscan vertex, features, LAYER], a point's
+            place in its layer being axial * BRICK + lateral.
         numbers: of the vertices of the level walked last [3, MOST_VERTICES].
         rows: their table rows [bscan, axial, lateral].
-        vertex, line: scratch [features, MOST_VERTICES] and [MOST_VERTICES, features, BRICK].
+        line: scratch [MOST_VERTICES, features, BRICK].
     """
 
     counts: NDArray[np.int64]
     near: NDArray[np.int64]
     share: NDArray[np.float32]
+    lateral: NDArray[np.float32]
     layers: NDArray[np.float32]
     numbers: NDArray[np.int64]
     rows: NDArray[np.int64]
-    vertex: NDArray[np.float32]
     line: NDArray[np.float32]
 
 
@@ -123,10 +124,10 @@ def new_walk(levels: int, features: int) -> Walk:
         np.empty((levels, 3), np.int64),
         np.empty((levels, 3, BRICK), np.int64),
         np.empty((levels, 3, BRICK), np.float32),
-        np.empty((levels, MOST_VERTICES, features, BRICK * BRICK), np.float32),
+        np.empty((levels, MOST_VERTICES, BRICK), np.float32),
+        np.empty((levels, MOST_VERTICES, features, LAYER), np.float32),
         np.empty((3, MOST_VERTICES), np.int64),
         np.empty((MOST_VERTICES, MOST_VERTICES, MOST_VERTICES), np.int64),
-        np.empty((features, MOST_VERTICES), np.float32),
         np.empty((MOST_VERTICES, features, BRICK), np.float32),
     )
 
@@ -143,6 +144,12 @@ def walk_level(level: int, coordinates: NDArray[np.float32], encoding: Encoding,
             walk.near[level, axis],
             walk.share[level, axis],
         )
+    lateral = walk.lateral[level]
+    lateral[: walk.counts[level, 2]] = 0
+    for k in range(BRICK):
+        i = walk.near[level, 2, k]
+        lateral[i, k] = np.float32(1.0) - walk.share[level, 2, k]
+        lateral[i + 1, k] = walk.share[level, 2, k]
     _find_rows(level, encoding, walk)
     _blend_rows(level, encoding.table, walk)
 
@@ -164,20 +171,19 @@ def _find_rows(level: int, encoding: Encoding, walk: Walk) -> None:
 @njit(**KERNEL)
 def _blend_rows(level: int, table: NDArray[np.float32], walk: Walk) -> None:
     """Blend vertices along the lateral and axial axes."""
-    counts, near, share = walk.counts[level], walk.near[level], walk.share[level]
-    vertex, line, layers = walk.vertex, walk.line, walk.layers[level]
+    counts, near, share, lateral = walk.counts[level], walk.near[level], walk.share[level], walk.lateral[level]
+    line, layers = walk.line, walk.layers[level]
     features = table.shape[1]
     for z in range(counts[0]):
         for y in range(counts[1]):
-            for x in range(counts[2]):
-                row = walk.rows[z, y, x]
-                for f in range(features):
-                    vertex[f, x] = table[row, f]
             for f in range(features):
+                at = line[y, f]
                 for k in range(BRICK):
-                    i = near[2, k]
-                    before = vertex[f, i]
-                    line[y, f, k] = before + (vertex[f, i + 1] - before) * share[2, k]
+                    at[k] = 0
+                for x in range(counts[2]):
+                    feature, weight = table[walk.rows[z, y, x], f], lateral[x]
+                    for k in range(BRICK):
+                        at[k] += feature * weight[k]
         for k in range(BRICK):
             i = near[1, k]
             weight = share[1, k]
@@ -188,32 +194,35 @@ def _blend_rows(level: int, table: NDArray[np.float32], walk: Walk) -> None:
 
 
 @njit(**KERNEL)
-def blend_layer(k: int, walk: Walk, encoded: NDArray[np.float32]) -> None:
-    """Blend along the bscan axis: the features [inputs, TILE] of layer `k` of the brick, all levels."""
+def blend_layer(k: int, walk: Walk, encoded: NDArray[np.float32], start: int) -> None:
+    """Blend along the bscan axis: the features [inputs, start : start + LAYER] of layer `k` of a brick, all levels."""
     features = walk.layers.shape[2]
     for level in range(walk.layers.shape[0]):
-        layers = walk.layers[level]
         i = walk.near[level, 0, k]
         weight = walk.share[level, 0, k]
         for f in range(features):
-            for x in range(BRICK * BRICK):
-                before = layers[i, f, x]
-                encoded[level * features + f, x] = before + (layers[i + 1, f, x] - before) * weight
+            before, after = walk.layers[level, i, f], walk.layers[level, i + 1, f]
+            into = encoded[level * features + f, start : start + LAYER]
+            for x in range(LAYER):
+                into[x] = before[x] + (after[x] - before[x]) * weight
 
 
 @njit(**KERNEL)
-def spread_layer(k: int, gradient: NDArray[np.float32], walk: Walk, by_layers: NDArray[np.float32]) -> None:
-    """Add the gradient of one layer's features to that of the walk's layers: the adjoint of `blend_layer`."""
+def spread_layer(k: int, gradient: NDArray[np.float32], start: int, walk: Walk, by_layers: NDArray[np.float32]) -> None:
+    """Add the gradient [inputs, start : start + LAYER] of one layer's features to that of the walk's layers: the
+    adjoint of `blend_layer`.
+    """
     features = walk.layers.shape[2]
     for level in range(walk.layers.shape[0]):
-        layers = by_layers[level]
         i = walk.near[level, 0, k]
         weight = walk.share[level, 0, k]
         for f in range(features):
-            for x in range(BRICK * BRICK):
-                after = gradient[level * features + f, x] * weight
-                layers[i + 1, f, x] += after
-                layers[i, f, x] += gradient[level * features + f, x] - after
+            before, after = by_layers[level, i, f], by_layers[level, i + 1, f]
+            whole = gradient[level * features + f, start : start + LAYER]
+            for x in range(LAYER):
+                share = whole[x] * weight
+                after[x] += share
+                before[x] += whole[x] - share
 
 
 @njit(**KERNEL)
@@ -221,11 +230,12 @@ def spread_rows(
     level: int, walk: Walk, by_layers: NDArray[np.float32], gradient: NDArray[np.float32], start: int
 ) -> None:
     """Write the gradient of each vertex of a level into `gradient` [start + vertex, feature], from that of its layers
-    [bscan vertex, feature, TILE]: the adjoint of what `walk_level` blends.
+    [bscan vertex, feature, LAYER]: the adjoint of what `walk_level` blends.
     """
-    counts, near, share = walk.counts[level], walk.near[level], walk.share[level]
-    vertex, line, layers = walk.vertex, walk.line, by_layers
+    counts, near, share, lateral = walk.counts[level], walk.near[level], walk.share[level], walk.lateral[level]
+    line, layers = walk.line, by_layers
     features = layers.shape[1]
+    place = start
     for z in range(counts[0]):
         for y in range(counts[1]):
             for f in range(features):
@@ -241,16 +251,12 @@ def spread_rows(
                     line[i + 1, f, x] += after
                     line[i, f, x] += whole - after
         for y in range(counts[1]):
-            for f in range(features):
-                for x in range(counts[2]):
-                    vertex[f, x] = 0
-                for k in range(BRICK):
-                    i = near[2, k]
-                    whole = line[y, f, k]
-                    after = whole * share[2, k]
-                    vertex[f, i + 1] += after
-                    vertex[f, i] += whole - after
-            place = start + (z * counts[1] + y) * counts[2]
             for x in range(counts[2]):
+                weights = lateral[x]
                 for f in range(features):
-                    gradient[place + x, f] = vertex[f, x]
+                    at = line[y, f]
+                    total = np.float32(0.0)
+                    for k in range(BRICK):
+                        total += at[k] * weights[k]
+                    gradient[place, f] = total
+                place += 1
