@@ -1,6 +1,7 @@
 """What one asks of a field: where the surface is, how bright it is, and pictures of it."""
 
-from octn_ros.query.bands import PAPER_BANDS, BandPoints, BandQuery, find_band
+from octn_ros.query.band_index import BandIndex
+from octn_ros.query.bands import PAPER_BANDS, BandPoints, BandQuery, find_band, find_band_exhaustively
 from octn_ros.query.distance import DistanceMap, distance_to_mesh, signed_distance
 from octn_ros.query.enface_views import enface, layer_mean
 from octn_ros.query.files import write_mesh, write_points
@@ -17,6 +18,7 @@ from octn_ros.query.surface import SurfaceMap, SurfaceMapConfig, surface_intensi
 
 __all__ = [
     "PAPER_BANDS",
+    "BandIndex",
     "BandPoints",
     "BandQuery",
     "Box",
@@ -41,6 +43,7 @@ __all__ = [
     "enface",
     "evaluate_points",
     "find_band",
+    "find_band_exhaustively",
     "iso_surface",
     "lateral_slice",
     "layer_mean",
