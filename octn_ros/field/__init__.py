@@ -1,6 +1,6 @@
 """The continuous representation of a C-scan: encoding, network, and what a field answers."""
 
-from octn_ros.field.checkpoint import FORMAT, dumps_field, dumps_volume, field_hash, load_field, loads_field, save_field
+from octn_ros.field.checkpoint import FORMAT, dumps_field, field_hash, load_field, loads_field, save_field, volume_parts
 from octn_ros.field.field import Field, FieldDescription
 from octn_ros.field.hash_grid import HashGridConfig
 from octn_ros.field.interpolated import InterpolatedField
@@ -20,9 +20,9 @@ __all__ = [
     "NeuralFieldConfig",
     "NeuralModel",
     "dumps_field",
-    "dumps_volume",
     "field_hash",
     "load_field",
     "loads_field",
     "save_field",
+    "volume_parts",
 ]

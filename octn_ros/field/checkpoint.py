@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import os
 from pathlib import Path
 
@@ -40,18 +41,18 @@ def dumps_field(field: Field, *, half: bool = False) -> bytes:
         tensors = {name: t.detach().to("cpu", dtype).contiguous() for name, t in field.model.state_dict().items()}
         return safetensors.torch.save(tensors, write_header(field.description, field.config))
     if isinstance(field, InterpolatedField):
-        return _voxel_bytes(field.volume, field.description)
+        return b"".join(_voxel_parts(field.volume, field.description))
     raise CheckpointError(f"expected a neural or an interpolated field to store, got {type(field).__name__}")
 
 
-def dumps_volume(volume: Volume) -> bytes:
-    """Return the bytes that `dumps_field` gives for the trilinear field through a volume, without making the field.
+def volume_parts(volume: Volume) -> tuple[bytes, memoryview]:
+    """Return what `dumps_field` gives for the trilinear field through a volume, in two parts, and copy nothing.
 
-    A field keeps its voxels as float32: of a large C-scan that would be four more copies, only to be thrown away.
+    The field itself would keep the voxels as float32, and one piece of bytes would be a copy: of a large C-scan there
+    is not always room for either. The second part shares the volume's memory.
     """
-    return _voxel_bytes(
-        volume, dataclasses.replace(FieldDescription.of_volume(volume, "interpolated"), order="trilinear")
-    )
+    description = FieldDescription.of_volume(volume, "interpolated")
+    return _voxel_parts(volume, dataclasses.replace(description, order="trilinear"))
 
 
 def loads_field(data: bytes, device: str | torch.device = "cpu") -> NeuralField | InterpolatedField:
@@ -105,13 +106,23 @@ def load_field(path: str | Path, device: str | torch.device = "cpu") -> NeuralFi
         raise CheckpointError(f"{path}: {error}") from error
 
 
-def field_hash(data: bytes) -> str:
-    """Return 16 hex digits that identify the content of a stored field."""
-    return hashlib.sha256(data).hexdigest()[:16]
+def field_hash(*parts: bytes | memoryview) -> str:
+    """Return 16 hex digits that identify the content of a stored field, given whole or in its parts."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()[:16]
 
 
-def _voxel_bytes(volume: Volume, description: FieldDescription) -> bytes:
-    return safetensors.numpy.save({"voxels": np.ascontiguousarray(volume.array)}, write_header(description, None))
+def _voxel_parts(volume: Volume, description: FieldDescription) -> tuple[bytes, memoryview]:
+    """Return header and content as safetensors has them; the library itself would make two copies of the voxels."""
+    array = volume.array
+    voxels = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+    kind = f"{'F' if array.dtype.kind == 'f' else 'U'}{8 * array.itemsize}"
+    content = {"dtype": kind, "shape": list(array.shape), "data_offsets": [0, array.nbytes]}
+    text = json.dumps({"__metadata__": write_header(description, None), "voxels": content}, separators=(",", ":"))
+    text += " " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text.encode(), voxels.reshape(-1).view(np.uint8).data
 
 
 def _rebuild(header: StoredHeader, data: bytes, device: str | torch.device) -> NeuralField | InterpolatedField:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
-from octn_ros.field import dumps_volume, field_hash
+from octn_ros.field import field_hash, volume_parts
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.field_store import FieldStore, KeptField
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
@@ -31,26 +31,26 @@ class NewScan:
         view: its en-face view [bscan, lateral].
         grid: the view as a message.
         hash: identity of the field through its voxels.
-        field: the message of that field; None once it is published, for it is as large as the C-scan.
+        field: the encoded message of that field; None once it is published, for it is as large as the C-scan.
     """
 
     volume: Volume
     view: NDArray[np.float32]
     grid: OccupancyGrid
     hash: str
-    field: CompressedImage | None
+    field: bytes | None
 
     @classmethod
     def of(cls, volume: Volume) -> NewScan:
         """Make ready what is published of a C-scan."""
         view = enface(volume)
-        data = dumps_volume(volume)
+        parts = volume_parts(volume)
         return cls(
             volume,
             view,
             conversions.to_grid(view, volume.geometry, volume.stamp_ns),
-            field_hash(data),
-            conversions.to_field_message(data, volume.stamp_ns, volume.geometry.frame),
+            field_hash(*parts),
+            conversions.encode_field(parts, volume.stamp_ns, volume.geometry.frame),
         )
 
 
@@ -120,7 +120,7 @@ class PresentScan:
             CheckpointError: it is published, and cannot be kept.
         """
         stamp_ns, frame = scan.volume.stamp_ns, scan.volume.geometry.frame
-        message, identity = conversions.to_field_message(data, stamp_ns, frame), field_hash(data)
+        message, identity = conversions.encode_field((data,), stamp_ns, frame), field_hash(data)
         with self._lock:
             if self._scan is not scan:
                 return False
@@ -139,7 +139,7 @@ class PresentScan:
         with self._lock:
             self._stamp_ns, self._pose, self._kept = kept.stamp_ns, kept.pose, kept
             self._enface.publish(conversions.to_grid(kept.enface, description.geometry, kept.stamp_ns))
-            message = conversions.to_field_message(kept.data, kept.stamp_ns, kept.frame)
+            message = conversions.encode_field((kept.data,), kept.stamp_ns, kept.frame)
             self._publish(message, KnownField(kept.stamp_ns, description.kind, kept.hash))
 
     def see_pose(self, pose: StampedPose) -> None:
@@ -165,7 +165,7 @@ class PresentScan:
             if self._kept is kept:
                 self._store.keep(kept)
 
-    def _publish(self, message: CompressedImage, known: KnownField) -> None:
+    def _publish(self, message: bytes, known: KnownField) -> None:
         # The pose goes first, so that whoever gets the field can place it.
         self._place(self._poses.nearest(known.stamp_ns, self._largest_gap_s()))
         self._publish_pose()

@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save as save_numpy
 from safetensors.torch import save
 
 from octn_ros.errors import CheckpointError
@@ -16,12 +17,13 @@ from octn_ros.field import (
     NeuralFieldConfig,
     NeuralModel,
     dumps_field,
-    dumps_volume,
     field_hash,
     load_field,
     loads_field,
     save_field,
+    volume_parts,
 )
+from octn_ros.field.checkpoint_header import write_header
 from octn_ros.volume import Volume
 
 CONFIG = NeuralFieldConfig(
@@ -158,7 +160,14 @@ def dataclasses_replaced(field):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_a_volumes_bytes_are_those_of_the_field_through_it(dtype):
+def test_a_volumes_parts_are_the_field_through_it_as_safetensors_has_it(dtype):
     array = np.random.default_rng(1).integers(0, 250, (5, 6, 7)).astype(dtype)
     volume = Volume.from_array(array, (28e-6, 14e-6, 14e-6), intensity_scale="log", stamp_ns=7)
-    assert dumps_volume(volume) == dumps_field(InterpolatedField(volume))
+    field = InterpolatedField(volume)
+    parts = volume_parts(volume)
+    whole = b"".join(parts)
+    assert whole == save_numpy({"voxels": array}, write_header(field.description, None))
+    assert whole == dumps_field(field)
+    assert field_hash(*parts) == field_hash(whole)
+    assert np.shares_memory(np.asarray(parts[1]), volume.array)
+    np.testing.assert_array_equal(loads_field(whole).volume.array, array)

@@ -9,48 +9,36 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from octn_ros.nodes.conversions.headers import LITTLE_ENDIAN, encode_header
 from octn_ros.planning import quaternions_xyzw
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # of plain CDR; places in the encoding are counted from behind it
 _POSE = 7  # float64: position (x, y, z), orientation (x, y, z, w)
 
 
 def encode_pose_array(poses: NDArray[np.float64], stamp_ns: int, frame: str) -> bytes:
     """Return the bytes of the PoseArray that `to_pose_array` makes of transforms [N, 4, 4]; N may be 0."""
-    head = _header(stamp_ns, frame)
+    head = encode_header(stamp_ns, frame)
     head += bytes(-len(head) % 4) + len(poses).to_bytes(4, "little")
     if len(poses):
         head += bytes(-len(head) % 8)
-    return _LITTLE_ENDIAN + head + _numbers(poses).tobytes()
+    return LITTLE_ENDIAN + head + _numbers(poses).tobytes()
 
 
 def encode_path(poses: NDArray[np.float64], stamp_ns: int, frame: str) -> bytes:
     """Return the bytes of the Path that `to_path` makes of transforms [N, 4, 4]; N may be 0."""
-    head = _header(stamp_ns, frame)
+    head = encode_header(stamp_ns, frame)
     head += bytes(-len(head) % 4) + len(poses).to_bytes(4, "little")
     if not len(poses):
-        return _LITTLE_ENDIAN + head
+        return LITTLE_ENDIAN + head
     # Only the first pose may begin off a multiple of 8; all others follow the doubles of the one before.
-    first = _header(stamp_ns, frame)
+    first = encode_header(stamp_ns, frame)
     first += bytes(-(len(head) + len(first)) % 8)
-    other = _header(stamp_ns, frame)
+    other = encode_header(stamp_ns, frame)
     other += bytes(-len(other) % 8)
     rows = np.empty(len(poses), np.dtype([("header", f"V{len(other)}"), ("pose", "<f8", _POSE)]))
     rows["header"] = np.void(other)
     rows["pose"] = _numbers(poses)
-    return _LITTLE_ENDIAN + head + first + rows.tobytes()[len(other) :]
-
-
-def _header(stamp_ns: int, frame: str) -> bytes:
-    """Return the encoding of a Header, which begins at a multiple of 4."""
-    seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-    name = frame.encode() + b"\0"
-    return (
-        seconds.to_bytes(4, "little", signed=True)
-        + nanoseconds.to_bytes(4, "little")
-        + len(name).to_bytes(4, "little")
-        + name
-    )
+    return LITTLE_ENDIAN + head + first + rows.tobytes()[len(other) :]
 
 
 def _numbers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
