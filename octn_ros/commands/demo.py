@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 FIT: dict[str, Any] = {"fit.time_budget_s": 10.0}
 QUICK_FIT: dict[str, Any] = {"fit.time_budget_s": 90.0, "fit.steps": 80}
 QUICK_SHAPE = (40, 80, 80)
+# The closed loop fits once for each pass, from the last field on.
+CLOSED_LOOP_FIT: dict[str, Any] = {"fit.time_budget_s": 6.0}
+CLOSED_LOOP_DEPTH_UM = 300.0
+QUICK_CLOSED_LOOP: dict[str, Any] = {"shape": (40, 96, 80), "wave_amplitude_m": 40e-6}
+QUICK_CLOSED_LOOP_SIDE_M = 0.6e-3
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,8 @@ class DemoCommand:
         output: directory for the report.
         quick: a small phantom and a short fit.
         json: print JSON instead of a table.
+        closed_loop: ablate the phantom to a depth, pass by pass, instead of executing one plan.
+        depth_um: that depth, None for 300 um.
     """
 
     volume: Path | None = None
@@ -37,6 +44,8 @@ class DemoCommand:
     output: Path = Path("demo_output")
     quick: bool = False
     json: bool = False
+    closed_loop: bool = False
+    depth_um: float | None = None
 
     def run(self) -> int:
         """Run the chain, write the report, print the figures; return 0.
@@ -46,7 +55,13 @@ class DemoCommand:
         """
         if self.spacing_um is not None and self.volume is None:
             raise terminal.CommandError("--spacing-um describes a recorded C-scan: expected --volume FILE beside it")
+        if self.depth_um is not None and not self.closed_loop:
+            raise terminal.CommandError("--depth-um is how deep to ablate: expected --closed-loop beside it")
+        if self.closed_loop and self.volume is not None:
+            raise terminal.CommandError("--closed-loop needs tissue that can be cut: expected no --volume beside it")
         terminal.make_output_directory(self.output)
+        if self.closed_loop:
+            return self._run_closed_loop()
         with terminal.ProgressBar() as bar:
             start = time.perf_counter()
             bar.show("loading", 0.0)
@@ -59,6 +74,27 @@ class DemoCommand:
             terminal.print_json(result.to_plain())
         else:
             terminal.print_table("octn demo", result.rows())
+            terminal.say(f"Report: {result.report}")
+        return 0
+
+    def _run_closed_loop(self) -> int:
+        with terminal.ProgressBar() as bar:
+            bar.show("loading", 0.0)
+            from octn_ros.demo.ablation_request import AblationRequest
+            from octn_ros.demo.closed_loop_report import closed_loop_demo
+            from octn_ros.demo.rectangle import LARGEST_SIDE_M, centred_rectangle
+            from octn_ros.simulation import PhantomConfig
+
+            config = PhantomConfig(**QUICK_CLOSED_LOOP) if self.quick else PhantomConfig()
+            largest = QUICK_CLOSED_LOOP_SIDE_M if self.quick else LARGEST_SIDE_M
+            depth_um = CLOSED_LOOP_DEPTH_UM if self.depth_um is None else self.depth_um
+            request = AblationRequest(depth_um * 1e-6, centred_rectangle(config.geometry, largest_m=largest))
+            fit = QUICK_FIT if self.quick else CLOSED_LOOP_FIT
+            result = closed_loop_demo(config, request, fit, self.output, bar.show)
+        if self.json:
+            terminal.print_json(result.to_plain())
+        else:
+            terminal.print_table("octn demo --closed-loop", result.rows())
             terminal.say(f"Report: {result.report}")
         return 0
 
@@ -79,10 +115,22 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--output", type=Path, default=Path("demo_output"), metavar="DIR", help="for the report; default demo_output"
     )
+    parser.add_argument(
+        "--closed-loop", action="store_true", help="ablate the phantom to a depth: scan, fit, plan, fire, scan again"
+    )
+    parser.add_argument("--depth-um", type=float, metavar="UM", help="that depth; default 300")
     parser.add_argument("--quick", action="store_true", help="a small phantom and a short fit")
     common.add_json(parser)
     parser.set_defaults(read=_read)
 
 
 def _read(arguments: argparse.Namespace) -> DemoCommand:
-    return DemoCommand(arguments.volume, common.spacing(arguments), arguments.output, arguments.quick, arguments.json)
+    return DemoCommand(
+        arguments.volume,
+        common.spacing(arguments),
+        arguments.output,
+        arguments.quick,
+        arguments.json,
+        arguments.closed_loop,
+        arguments.depth_um,
+    )

@@ -73,3 +73,8 @@ def height_in(panels: int, width: float, height: float, colour_bars: int, legend
 def colour_bar(drawn: Figure, mapped: ScalarMappable, axes: Axes, label: str) -> None:
     """Add a colour bar exactly as high as the picture beside it."""
     drawn.colorbar(mapped, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
+
+
+def colour_of(colours: str, share: float) -> tuple[float, float, float, float]:
+    """Return the colour at a share, 0 to 1, of a named colour map."""
+    return matplotlib.colormaps[colours](share)

@@ -13,14 +13,17 @@ MARGIN_VOXELS = 2.0  # the neighbourhood of the outermost waypoints lies in the 
 Corner = tuple[float, float]
 
 
-def centred_rectangle(geometry: VolumeGeometry, angle_rad: float = 0.0) -> tuple[Corner, Corner]:
-    """Return opposite corners (x, y) in metres, OCT frame, of a centred rectangle up to 3 x 3 mm that fits the scan.
+def centred_rectangle(
+    geometry: VolumeGeometry, angle_rad: float = 0.0, largest_m: float = LARGEST_SIDE_M
+) -> tuple[Corner, Corner]:
+    """Return opposite corners (x, y) in metres, OCT frame, of a centred rectangle that fits the scan.
 
     Unturned it is the largest one; turned, the same one shrunk until it fits.
 
     Args:
         geometry: of the scan.
         angle_rad: angle of the rectangle's first side against the lateral axis, towards the bscan axis.
+        largest_m: its sides are no longer than this, the paper's 3 mm if left out.
 
     Raises:
         PlanError: the scan is too narrow for any.
@@ -37,7 +40,7 @@ def centred_rectangle(geometry: VolumeGeometry, angle_rad: float = 0.0) -> tuple
     if not math.isfinite(angle_rad):
         raise PlanError(f"expected a finite angle of the rectangle, got {angle_rad}")
     cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
-    first, second = (min(LARGEST_SIDE_M / 2, room) for room in (room_x, room_y))
+    first, second = (min(largest_m / 2, room) for room in (room_x, room_y))
     if abs(sine) > abs(cosine):  # the first side lies nearer to the bscan axis
         first, second = second, first
     shrink = min(

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import platform
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from octn_ros import __version__, embedded
 from octn_ros.demo import pictures
 from octn_ros.demo.assessment import Assessment, assess, render_bscans
 from octn_ros.demo.graph import DemoError
@@ -22,6 +18,7 @@ from octn_ros.demo.report import ReportPicture, render_report
 from octn_ros.demo.result import DemoResult
 from octn_ros.demo.session import LINE_SPACING_M, TIME_FACTOR, SessionRecord, Show, Stopwatch, run_session
 from octn_ros.demo.source import ScanSource
+from octn_ros.demo.versions import software_versions
 from octn_ros.query import SurfaceMapConfig, enface, surface_map
 
 REPORT_NAME = "report.html"
@@ -59,7 +56,7 @@ def run_demo(
         result.rows(),
         drawn,
         _configuration(source, record, fit_parameters),
-        _versions(),
+        software_versions(),
     )
     try:
         path.write_text(page, encoding="utf-8")
@@ -183,14 +180,3 @@ def _configuration(
         },
         "arm": {"time_factor": TIME_FACTOR},
     }
-
-
-def _versions() -> dict[str, str]:
-    versions = {"octn_ros": __version__, "Python": platform.python_version()}
-    versions |= {name: metadata.version(name) for name in ("numpy", "torch", "scipy", "matplotlib")}
-    if embedded.install():
-        versions["ROS runtime"] = f"embedded, on eclipse-zenoh {metadata.version('eclipse-zenoh')}"
-    else:
-        versions["ROS runtime"] = f"ROS 2 {os.environ.get('ROS_DISTRO', '(distribution not stated)')}"
-    versions["machine"] = f"{platform.system()} {platform.machine()}, {os.cpu_count()} logical processors"
-    return versions

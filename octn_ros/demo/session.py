@@ -75,10 +75,10 @@ class Stopwatch:
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Measure what is done inside."""
+        """Measure what is done inside; parts of one name add up."""
         start = time.perf_counter()
         yield
-        self.seconds[name] = time.perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 def run_session(source: ScanSource, fit_parameters: Mapping[str, Any], show: Show) -> SessionRecord:
@@ -151,7 +151,7 @@ def _parameters(source: ScanSource, fit_parameters: Mapping[str, Any]) -> dict[s
         "intensity_scale": source.volume.intensity_scale,
     }
     return {
-        "simulator": {**source.simulator_parameters, "time_factor": TIME_FACTOR},
+        "simulator": {**source.simulator_parameters, "time_factor": TIME_FACTOR, "audit_path": ""},
         "trainer": {"field_path": "", **scan, **fit_parameters},
     }
 

@@ -40,20 +40,27 @@ class Watch(Generic[Message]):
             self._messages.append(message)
             self._condition.notify_all()
 
-    def wait(self, timeout_s: float, accept: Callable[[Message], bool] = lambda message: True) -> Message:
+    def wait(
+        self, timeout_s: float, accept: Callable[[Message], bool] = lambda message: True, *, after: int = 0
+    ) -> Message:
         """Return the first message, heard already or still to come, that `accept` says yes to.
+
+        Args:
+            timeout_s: for it to come.
+            accept: asked for each message once, in their order.
+            after: so many of the first messages do not count.
 
         Raises:
             TimeoutError: names the topic and how many other messages came.
         """
         deadline = time.monotonic() + timeout_s
-        seen = 0
+        seen = after
         with self._condition:
             while True:
                 for message in self._messages[seen:]:
                     if accept(message):
                         return message
-                seen = len(self._messages)
+                seen = max(seen, len(self._messages))
                 left = deadline - time.monotonic()
                 if left <= 0.0:
                     raise TimeoutError(f"{self._topic}: {timeout_s:g} s passed, {seen} messages came, none as awaited")
