@@ -29,6 +29,9 @@ TEST = [
     "pytest-timeout>=2.3",
     "ruff>=0.6",
     "trimesh>=4.0",  # reads the meshes we write
+    # Its interpreter runs the GPU's kernels on the CPU, and its compiler builds them for GPUs that are not there.
+    # PyTorch for CUDA brings its own along; for other machines there is none.
+    'triton>=3.3; platform_system == "Linux" and platform_machine == "x86_64"',
     "types-PyYAML",
 ]
 

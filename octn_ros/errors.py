@@ -1,4 +1,4 @@
-"""The errors of the core: each says what was expected, what was found and what to do."""
+"""The errors and warnings of the core: each says what was expected, what was found and what to do."""
 
 
 class OctnError(Exception):
@@ -35,3 +35,11 @@ class PlanError(OctnError):
 
 class ExecutionError(OctnError):
     """The arm refuses a plan or a command."""
+
+
+class OctnWarning(UserWarning):
+    """Base of every warning of this package."""
+
+
+class BackendWarning(OctnWarning):
+    """A fast back end was asked for, or would be worth having, and plain torch does its work instead."""

@@ -19,7 +19,7 @@ from octn_ros.settings import check_settings, setting
 from octn_ros.volume import VolumeGeometry
 
 if TYPE_CHECKING:
-    from octn_ros.field.compiled.evaluator import CompiledEvaluator
+    from octn_ros.field.backend import Evaluator
 
 
 @dataclass(frozen=True)
@@ -76,16 +76,18 @@ class NeuralField(DifferentiableField):
     mixed ones do not). With smoothstep weights and softplus the gradient is continuous and second derivatives are
     exact inside cells. Values are not clipped to [0, 1].
 
-    On the CPU compiled kernels answer where they can, equal to plain torch up to rounding; `backend` tells which.
+    On the CPU compiled kernels answer where they can, on CUDA Triton's, equal to plain torch up to rounding; `backend`
+    tells which. Further derivatives are always plain torch's.
 
     Args:
         model: the fitted model; frozen here.
         config: the shape it was made with.
         description: where it comes from.
-        backend: "auto" for the fastest that can run the model, "torch" for the plain reference, "compiled".
+        backend: "auto" for the fastest that can run the model, "torch" for the plain reference, or one of
+            `octn_ros.field.backend.BACKENDS`.
 
-    Raises:
-        ConfigurationError: compiled kernels are asked for and cannot run the model.
+    Warns:
+        BackendWarning: the back end asked for cannot run the model; plain torch does.
     """
 
     def __init__(
@@ -108,8 +110,8 @@ class NeuralField(DifferentiableField):
         return self.model.grid.table.device
 
     @cached_property
-    def _evaluator(self) -> CompiledEvaluator | None:
-        return make_evaluator(self.model) if self.backend == "compiled" else None
+    def _evaluator(self) -> Evaluator | None:
+        return make_evaluator(self.model, self.backend)
 
     def evaluate(self, points: Tensor) -> Tensor:
         """Return the intensities [N] at canonical points [N, 3]; differentiable in the points."""

@@ -54,10 +54,15 @@ class FitConfig:
         "network learns to predict B-scans from those beside them, whose speckle is another (open in the paper)",
         choices=OBJECTIVES,
     )
+    bricks: bool = setting(
+        False,
+        "whether samples may come in bricks of 8 x 8 x 8 neighbours, which the CPU's compiled kernels need, instead of "
+        "alone (open in the paper)",
+    )
     backend: str = setting(
-        "torch",
-        "torch: lone samples, any device; compiled: bricks of neighbouring samples on the CPU, many times faster; "
-        "auto: compiled where it can run",
+        "auto",
+        "what takes the steps. auto: the fastest there is, compiled kernels on the CPU if bricks are allowed, triton "
+        "on CUDA; torch: the plain reference, any device; compiled: with bricks in any case; triton; tiny-cuda-nn",
         choices=BACKENDS,
     )
     seed: int = setting(0, "seed of the initial parameters and of all samples", low=0, high=2**31 - 1)
@@ -91,7 +96,7 @@ FAST = FitConfig(
     batch=1 << 15,
     learning_rate=3e-4,
     start_from_data=True,
-    backend="auto",
+    bricks=True,
 )
 # For scans with few B-scans, or with much speckle: every level keeps the B-scans apart, cells double in their plane
 # from level to level, and only the network is learned, from what B-scans share with their neighbours.

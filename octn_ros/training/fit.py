@@ -7,29 +7,26 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import torch
 from torch import nn
 
 from octn_ros.errors import TrainingError
 from octn_ros.field import FieldDescription, NeuralField, NeuralModel
-from octn_ros.field.backend import choose_backend
 from octn_ros.metrics import psnr_from_error_db
 from octn_ros.settings import as_plain
 from octn_ros.training.config import FitConfig
 from octn_ros.training.data_start import follow_data, start_from_data
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.training.held_in import HeldInVoxels, psnr_of_field
-from octn_ros.training.neighbour_trainer import NeighbourTrainer
+from octn_ros.training.losses import LossReader
 from octn_ros.training.noise import noise_variance
-from octn_ros.training.point_trainer import PointTrainer, without_graph
+from octn_ros.training.point_trainer import without_graph
 from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
-from octn_ros.training.sampling import ResidentVoxels, VoxelSampler
+from octn_ros.training.sampling import ResidentVoxels
+from octn_ros.training.trainer import Trainer, backend_of_fit, make_trainer
 from octn_ros.volume import Volume
-
-if TYPE_CHECKING:
-    from octn_ros.training.brick_trainer import BrickTrainer
 
 _SEEDING = threading.Lock()
 Ended = Literal["steps", "time", "target", "noise level", "cancelled", "diverged"]
@@ -76,7 +73,9 @@ def fit(
     """Fit a neural field to a volume.
 
     Runs in the calling thread; several fits may run in several threads. On the CPU the same seed gives the same field
-    for the same number of threads, unless a time budget is set: learning rate and stages then follow the clock.
+    for the same number of threads, unless a time budget is set: learning rate and stages then follow the clock. On a
+    GPU it does so up to the rounding of sums taken in any order, which training lets grow. There volume, samples,
+    model and losses stay on the device, and no step waits for it.
 
     Args:
         volume: the C-scan.
@@ -110,20 +109,9 @@ def fit(
         if config.start_from_data and config.objective == "voxels":
             start_from_data(model, volume, is_cancelled)
         model = model.to(device)
-    backend = "torch" if config.objective == "neighbours" else choose_backend(model, config.backend)
-    trainer: PointTrainer | BrickTrainer | NeighbourTrainer
-    if config.objective == "neighbours":
-        trainer = NeighbourTrainer(
-            model, volume, config.batch, config.seed, is_cancelled, keep_network=start is not None
-        )
-    elif backend == "compiled":
-        # Loaded here, since it brings numba along.
-        from octn_ros.training.brick_trainer import BrickTrainer
-
-        trainer = BrickTrainer(model, volume, config.batch, config.seed)
-    else:
-        trainer = PointTrainer(model, VoxelSampler(voxels, config.seed), config.batch)
-    steps, seconds, history, ended = _train(model, voxels, trainer, held_in, config, progress or _ignore, is_cancelled)
+    backend = backend_of_fit(model, config)
+    trainer = make_trainer(model, volume, voxels, config, backend, is_cancelled, warm=start is not None)
+    steps, seconds, history, ended = _train(voxels, trainer, held_in, config, progress or _ignore, is_cancelled)
     field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
     quality = math.nan if ended == "cancelled" else psnr_of_field(field, volume, cancelled=is_cancelled)
     if math.isnan(quality):
@@ -143,20 +131,20 @@ def fit(
 
 
 def _train(
-    model: NeuralModel,
     voxels: ResidentVoxels,
-    trainer: PointTrainer | BrickTrainer | NeighbourTrainer,
+    trainer: Trainer,
     held_in: HeldInVoxels,
     config: FitConfig,
     progress: Callable[[FitProgress], None],
     cancelled: Callable[[], bool],
 ) -> tuple[int, float, tuple[FitProgress, ...], Ended]:
-    """Train the model in place; return steps, seconds, reports and why it ended."""
+    """Train in place; return steps, seconds, reports and why it ended."""
     guard = DivergenceGuard(trainer.trained, held_in.variance)
     period = HeldInVoxels.period(config.batch)
     noise = noise_variance(voxels) if config.stop_at_noise else -1.0
     schedule = Schedule(config)
     tally = ProgressTally(config, schedule)
+    losses = LossReader(voxels.device)
     history: list[FitProgress] = []
 
     def tell(report: FitProgress | None) -> None:
@@ -169,6 +157,13 @@ def _train(
         if config.target_psnr_db > 0 and psnr_from_error_db(error) >= config.target_psnr_db:
             return "target"
         return "noise level" if error <= noise else None
+
+    def diverged(read: list[float]) -> bool:
+        for loss in read:
+            if guard.diverged(loss):
+                return True
+            tally.add(loss)
+        return False
 
     step, error = 0, held_in.mean_squared_error(trainer.evaluate)
     stage: Stage = "hybrid"
@@ -185,17 +180,18 @@ def _train(
             ended = "cancelled"
             break
         step += 1
-        if guard.diverged(loss):
+        evaluated = step % period == 0 or step == config.steps
+        if diverged(losses.add(loss) + (losses.read() if evaluated else [])):
             ended = "diverged"
             break
-        tally.add(loss)
-        if step % period == 0 or step == config.steps:
+        if evaluated:
             error = held_in.mean_squared_error(trainer.evaluate)
             ended = reached()
         last = ended is not None or step == config.steps
         tell(tally.report(step, trainer.samples, stage, psnr_from_error_db(error), last=last))
     if ended == "time":  # at every other good end the last step was evaluated
         error = held_in.mean_squared_error(trainer.evaluate)
+        ended = "diverged" if diverged(losses.read()) else ended
     if ended in ("steps", "time", "target", "noise level") and not math.isfinite(error):
         ended = "diverged"
     seconds = schedule.seconds

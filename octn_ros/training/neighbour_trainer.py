@@ -86,8 +86,8 @@ class NeighbourTrainer:
         self._optimizer = torch.optim.Adam(self._network.parameters(), betas=(0.9, 0.99))
         self._generator = torch.Generator(device=device).manual_seed(seed)
 
-    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> float | None:
-        """Do one step; return its mean squared error, None if it was cancelled and nothing has changed.
+    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> Tensor | None:
+        """Do one step; return its mean squared error [], None if it was cancelled and nothing has changed.
 
         Args:
             rate: Adam's learning rate.
@@ -105,7 +105,7 @@ class NeighbourTrainer:
         loss.backward()
         self._optimizer.step()
         self.samples += self._batch
-        return float(loss.detach())
+        return loss.detach()
 
     def evaluate(self, points: Tensor) -> Tensor:
         """Put what was learned into the model; return its intensities [N] at canonical points [N, 3], no graph."""

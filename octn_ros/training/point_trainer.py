@@ -1,4 +1,4 @@
-"""Steps of Algorithm 1 on lone samples in plain torch: the reference, on any device."""
+"""Steps of Algorithm 1 on lone samples, by automatic differentiation on any device: the reference."""
 
 from __future__ import annotations
 
@@ -18,18 +18,27 @@ class PointTrainer:
         model: the model that is trained.
         sampler: where its samples come from.
         batch: samples of a step.
+        forward: the model as a function that is faster to differentiate; None for the model itself.
     """
 
-    def __init__(self, model: NeuralModel, sampler: VoxelSampler, batch: int) -> None:
-        self._model, self._sampler, self._batch = model, sampler, batch
+    def __init__(
+        self,
+        model: NeuralModel,
+        sampler: VoxelSampler,
+        batch: int,
+        forward: Callable[[Tensor], Tensor] | None = None,
+    ) -> None:
+        self._forward, self._sampler, self._batch = forward or model, sampler, batch
         # Features that no sample touches keep a zero gradient; tiny-cuda-nn's small epsilon lets rare ones move at
         # once.
         self._optimizer = torch.optim.Adam(model.parameters(), betas=(0.9, 0.99), eps=1e-15, fused=True)
         self.trained: nn.Module = model
         self.samples = 0
 
-    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> float | None:
-        """Do one step; return its mean squared error, None if it was cancelled and nothing has changed.
+    def step(self, rate: float, alpha: float, cancelled: Callable[[], bool]) -> Tensor | None:
+        """Do one step; return its mean squared error [], None if it was cancelled and nothing has changed.
+
+        On a GPU it returns before the device has done the step, and reads nothing from it.
 
         Args:
             rate: Adam's learning rate.
@@ -41,26 +50,25 @@ class PointTrainer:
         for group in self._optimizer.param_groups:
             group["lr"] = rate
         points, intensities = self._sampler.batch(self._batch, alpha)
-        loss = nn.functional.mse_loss(self._model(points), intensities)
+        loss = nn.functional.mse_loss(self._forward(points), intensities)
         if cancelled():
             return None
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         self._optimizer.step()
         self.samples += self._batch
-        return float(loss.detach())
+        return loss.detach()
 
     def evaluate(self, points: Tensor) -> Tensor:
         """Return the model's intensities [N] at canonical points [N, 3], without a graph."""
-        return without_graph(self._model)(points)
+        return without_graph(self._forward)(points)
 
 
-def without_graph(model: NeuralModel) -> Callable[[Tensor], Tensor]:
-    """Return the function that answers for a model's intensities [N] at canonical points [N, 3] and keeps no graph."""
+def without_graph(forward: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+    """Return the same function of canonical points [N, 3], but it keeps no graph."""
 
     def evaluate(points: Tensor) -> Tensor:
         with torch.no_grad():
-            values: Tensor = model(points)
-        return values
+            return forward(points)
 
     return evaluate

@@ -29,6 +29,7 @@ class ResidentVoxels:
         # torch can hardly compute with uint16; the bits of an int16 are told apart again when they are looked up.
         self._unsigned16 = array.dtype == np.uint16
         self._flat = torch.from_numpy(array.view(np.int16) if self._unsigned16 else array).to(device).view(-1)
+        self._last_cell = torch.tensor(self.geometry.shape, dtype=torch.float32, device=device) - 2
         low, high = volume.intensity_range
         self._low, self._scale = float(np.float32(low)), float(np.float32(1.0 / (high - low)))
 
@@ -58,7 +59,7 @@ class ResidentVoxels:
     def interpolate(self, points: Tensor) -> Tensor:
         """Return the trilinearly interpolated intensities [N] at canonical points [N, 3] of the cube."""
         index = self.geometry.canonical_to_voxel(points)
-        cell = torch.minimum(index.floor().clamp_(min=0), index.new_tensor(self.geometry.shape) - 2)
+        cell = torch.minimum(index.floor().clamp_(min=0), self._last_cell)
         far = index - cell
         near = 1.0 - far
         _, axials, laterals = self.geometry.shape

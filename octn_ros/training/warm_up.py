@@ -9,13 +9,15 @@ import numpy as np
 import torch
 
 from octn_ros.field import FieldDescription, NeuralField, NeuralFieldConfig, NeuralModel
-from octn_ros.field.backend import choose_backend
 from octn_ros.training.config import PRESETS, FitConfig
+from octn_ros.training.sampling import ResidentVoxels
+from octn_ros.training.trainer import backend_of_fit, make_trainer
 from octn_ros.volume import Volume
 
 _SHAPE = (16, 16, 16)
 _VOXEL_TYPES = (np.uint8, np.uint16, np.float32)  # a kernel is compiled for each
 _LOG2_ROWS = 10  # kernels do not depend on the size of the tables
+_SAMPLES = 512  # nor on that of a batch
 
 
 def warm_up(config: FitConfig, device: str | torch.device = "cpu") -> None:
@@ -28,14 +30,17 @@ def warm_up(config: FitConfig, device: str | torch.device = "cpu") -> None:
     Never raises: what goes wrong here is logged at debug level, and goes wrong again, in words, where it matters.
     """
     try:
-        field = _made_field(config.field, config.backend, torch.device(device))
-        if field.backend != "compiled":
-            return
-        # Loaded here, since it brings numba along.
-        from octn_ros.training.brick_trainer import BRICK_SAMPLES, BrickTrainer
-
-        for voxel_type in _VOXEL_TYPES:
-            BrickTrainer(field.model, _made_volume(voxel_type), BRICK_SAMPLES, config.seed)
+        field = _made_field(config.field, torch.device(device))
+        backend = backend_of_fit(field.model, config)
+        if backend in ("compiled", "triton"):
+            field.model.requires_grad_(True)
+            small = dataclasses.replace(config, batch=_SAMPLES, alpha=0.0)
+            for voxel_type in _VOXEL_TYPES:
+                volume = _made_volume(voxel_type)
+                voxels = ResidentVoxels(volume, field.device)
+                trainer = make_trainer(field.model, volume, voxels, small, backend, _never, warm=False)
+            trainer.step(config.learning_rate, 0.0, _never)
+            field.model.requires_grad_(False)
         _ask(field)
     except Exception:
         logging.getLogger(__name__).debug("the kernels of fits could not be compiled ahead", exc_info=True)
@@ -49,22 +54,27 @@ def warm_up_queries(config: NeuralFieldConfig | None = None, device: str | torch
         device: where they will lie.
     """
     try:
-        _ask(_made_field(config or PRESETS["fast"].field, "auto", torch.device(device)))
+        _ask(_made_field(config or PRESETS["fast"].field, torch.device(device)))
     except Exception:
         logging.getLogger(__name__).debug("the kernels of queries could not be compiled ahead", exc_info=True)
 
 
 def _ask(field: NeuralField) -> None:
-    if field.backend == "compiled":
-        axis = torch.linspace(-1.0, 1.0, 2)
+    if field.backend != "torch":
+        axis = torch.linspace(-1.0, 1.0, 2, device=field.device)
         field.lattice(axis, axis, axis)
-        field.evaluate(torch.zeros(1, 3))
-        field.value_and_gradient(torch.zeros(1, 3))
+        field.evaluate(axis.new_zeros(1, 3))
+        field.value_and_gradient(axis.new_zeros(1, 3))
         field.axial_lines(axis, axis, axis[:, None])
         field.axial_value_and_slope(axis, axis, axis)
 
 
-def _made_field(config: NeuralFieldConfig, backend: str, device: torch.device) -> NeuralField:
+def _never() -> bool:
+    """Nobody cancels."""
+    return False
+
+
+def _made_field(config: NeuralFieldConfig, device: torch.device) -> NeuralField:
     volume = _made_volume(np.uint8)
     grid = dataclasses.replace(config.grid, log2_table_size=_LOG2_ROWS)
     small = NeuralFieldConfig(grid, config.network)
@@ -75,8 +85,7 @@ def _made_field(config: NeuralFieldConfig, backend: str, device: torch.device) -
     with torch.no_grad():
         for parameter in model.parameters():
             parameter.zero_()
-    chosen = choose_backend(model, backend)
-    return NeuralField(model, small, FieldDescription.of_volume(volume, "neural"), chosen)
+    return NeuralField(model, small, FieldDescription.of_volume(volume, "neural"))
 
 
 def _made_volume(voxel_type: type[np.generic]) -> Volume:

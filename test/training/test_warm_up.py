@@ -51,7 +51,7 @@ def test_a_compiler_that_fails_is_said_in_the_log_only(monkeypatch, caplog):
     def broken(*arguments):
         raise RuntimeError("no compiler")
 
-    monkeypatch.setattr(warm_up, "choose_backend", broken)
+    monkeypatch.setattr(warm_up, "NeuralField", broken)
     with caplog.at_level(logging.DEBUG):
         warm_up.warm_up(FIT)
         warm_up.warm_up_queries()
