@@ -5,11 +5,15 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import re
 import sys
 from typing import Any
 
 import zenoh
 
+from octn_ros.embedded.errors import RCLError
+
+CONFIG_OVERRIDE = "ZENOH_CONFIG_OVERRIDE"  # rmw_zenoh's name, form and meaning
 RENDEZVOUS_PORT = 17447  # plus the domain id; on loopback
 ROUTER_PORT = 7447  # where rmw_zenohd listens, if there is one
 LARGEST_KEPT_BLOCK = 1 << 30
@@ -21,7 +25,7 @@ def session_config(domain_id: int) -> dict[str, Any]:
 
     One process listens at the rendezvous port, the others connect to it and learn of each other by gossip. All try to
     listen again and again, so another takes the port over when its holder ends. Everything stays on loopback: any user
-    of the machine can join, nobody else.
+    of the machine can join, nobody else. `config_overrides` may change that.
 
     The environment variable OCTN_RENDEZVOUS_PORT sets the port, which is 17447 plus the domain id.
     """
@@ -55,6 +59,23 @@ def session_config(domain_id: int) -> dict[str, Any]:
     }
 
 
+def config_overrides() -> dict[str, str]:
+    """Return what the environment variable ZENOH_CONFIG_OVERRIDE puts in place of `session_config`, as JSON5 by key.
+
+    Its form is rmw_zenoh's, ``key=value;key=value`` with values in JSON5. A semicolon within double quotes belongs to
+    the value; spaces and line ends around keys and values do not.
+
+    Raises:
+        RCLError: a part of it is no ``key=value``.
+    """
+    parts = re.findall(r'(?:[^";]|"[^"]*"|")+', os.environ.get(CONFIG_OVERRIDE, ""))
+    pairs = [part.partition("=") for part in map(str.strip, parts) if part]
+    for key, equals, value in pairs:
+        if not (key.strip() and equals and value.strip()):
+            raise RCLError(f"{CONFIG_OVERRIDE}: expected key=value;key=value, got '{key}{equals}{value}'")
+    return {key.strip(): value.strip() for key, _, value in pairs}
+
+
 def open_session(domain_id: int) -> zenoh.Session:
     """Open the session of a context.
 
@@ -62,12 +83,18 @@ def open_session(domain_id: int) -> zenoh.Session:
     (use the spawn method of multiprocessing).
 
     Raises:
-        zenoh.ZError: no socket on loopback can be had.
+        RCLError: ZENOH_CONFIG_OVERRIDE is not of its form, or has a key or value that Zenoh does not know.
+        zenoh.ZError: no socket on loopback can be had, or what the override asks for cannot be opened.
     """
     _keep_large_blocks()
     config = zenoh.Config()
     for key, value in session_config(domain_id).items():
         config.insert_json5(key, json.dumps(value))
+    for key, text in config_overrides().items():
+        try:
+            config.insert_json5(key, text)
+        except zenoh.ZError as error:
+            raise RCLError(f"{CONFIG_OVERRIDE}: Zenoh refuses {key}={text}: {error}") from error
     return zenoh.open(config)
 
 
