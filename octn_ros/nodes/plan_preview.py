@@ -58,11 +58,13 @@ def draw_preview(
 
 
 def _empty_view(geometry: VolumeGeometry) -> GridView:
-    width_m, height_m, _ = geometry.extent_m
+    """Return a view without grey levels over all voxels, half a voxel beyond the outermost centres."""
+    along_m, _, across_m = geometry.spacing_m
+    width_m, height_m = geometry.extent_m[0] + across_m, geometry.extent_m[1] + along_m
     cell_m = max(width_m, height_m) / SIDE_PX
     shape = max(1, round(height_m / cell_m)), max(1, round(width_m / cell_m))
     x, y, _ = geometry.origin_m
-    return GridView(np.full(shape, -1, dtype=np.int8), (x, y), cell_m)
+    return GridView(np.full(shape, -1, dtype=np.int8), (x - across_m / 2, y - along_m / 2), cell_m)
 
 
 def _stretched(cells: NDArray[np.int8]) -> NDArray[np.uint8]:
