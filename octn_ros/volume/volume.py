@@ -92,8 +92,12 @@ class Volume:
             index: which voxels, as NumPy indexes the array; all of them if not given. A few B-scans at a time keep a
                 large volume from being copied whole.
         """
+        return self.intensity_of(self.array[index])
+
+    def intensity_of(self, raw: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the intensities in [0, 1], float32, that raw values of any shape stand for; rising with them."""
         low, high = self.intensity_range
-        values = np.asarray(self.array[index]).astype(np.float32)
+        values = np.asarray(raw).astype(np.float32)
         values -= np.float32(low)
         values *= np.float32(1.0 / (high - low))
         return np.clip(values, 0.0, 1.0, out=values)

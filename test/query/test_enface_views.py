@@ -26,6 +26,14 @@ def test_enface_of_volume_and_field(volume, mode, along_beam):
     assert shares[-1] == 1.0
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_enface_of_a_volume_is_that_of_its_normalised_voxels_to_the_last_bit(dtype):
+    volume = Volume.from_array(VOXELS.astype(dtype), (1e-5, 1e-5, 1e-5), intensity_range=(40.0, 211.0))
+    shares = []
+    np.testing.assert_array_equal(enface(volume, progress=shares.append), volume.normalized().max(axis=1))
+    assert shares == [1.0]
+
+
 def test_unknown_view(volume):
     with pytest.raises(QueryError, match="mip or mean, got 'median'"):
         enface(volume, "median")
