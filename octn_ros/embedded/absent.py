@@ -37,13 +37,13 @@ _NAMES = """
         get_node_names_and_namespaces get_node_names_and_namespaces_with_enclaves get_parameter_or
         get_parameter_type get_parameter_types get_publisher_names_and_types_by_node get_publishers_info_by_topic
         get_service_names_and_types get_service_names_and_types_by_node get_subscriber_names_and_types_by_node
-        get_subscriptions_info_by_topic get_topic_names_and_types guards handle publishers
-        remove_pre_set_parameters_callback remove_waitable services
-        set_descriptor subscriptions timers undeclare_parameter waitables
+        get_subscriptions_info_by_topic get_topic_names_and_types guards handle
+        remove_pre_set_parameters_callback remove_waitable
+        set_descriptor timers undeclare_parameter waitables
     rclpy.node.Node(): allow_undeclared_parameters automatically_declare_parameters_from_overrides cli_args
         enable_logger_service enable_rosout
     Node.create_publisher: event_callbacks publisher_class qos_overriding_options
-    Node.create_subscription: event_callbacks qos_overriding_options raw
+    Node.create_subscription: event_callbacks qos_overriding_options
     rclpy.parameter: get_parameter_value parameter_dict_from_yaml_file
     rclpy.publisher.Publisher: assert_liveliness event_handlers handle wait_for_all_acked
     rclpy.qos: LivelinessPolicy QoSLivelinessPolicy QoSPolicyKind QoSPresetProfiles qos_check_compatible
@@ -52,7 +52,7 @@ _NAMES = """
     rclpy.qos.QoSProfile: avoid_ros_namespace_conventions get_c_qos_profile liveliness liveliness_lease_duration
     rclpy.service.Service: configure_introspection handle
     rclpy.signals: SignalHandlerGuardCondition get_current_signal_handlers_options
-    rclpy.subscription.Subscription: CallbackType event_handlers handle raw
+    rclpy.subscription.Subscription: CallbackType event_handlers handle
     rclpy.task: Task
     rclpy.timer: Rate
     rclpy.timer.Timer: clock handle is_ready time_since_last_call

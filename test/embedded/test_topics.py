@@ -149,3 +149,23 @@ def test_publishing_ends_with_publisher_and_context(nodes):
     rclpy.shutdown()
     with pytest.raises(RCLError):
         other.publish(String())
+
+
+def test_a_raw_subscription_gets_the_encoded_message(nodes, spin_until):
+    node, got = nodes("alpha"), []
+    node.create_subscription(String, "words", got.append, 10, raw=True)
+    node.create_publisher(String, "words", 10).publish(String(data="hello"))
+    spin_until(lambda: got, node)
+    assert got == [b"\x00\x01\x00\x00" + b"\x06\x00\x00\x00hello\x00"]
+
+
+def test_a_node_lists_what_it_has_made(nodes):
+    node = nodes("alpha")
+    publisher = node.create_publisher(Int32, "numbers", 10)
+    subscription = node.create_subscription(Int32, "numbers", print, LATCHED)
+    assert [entity.topic_name for entity in node.publishers] == ["/parameter_events", "/numbers"]
+    assert list(node.subscriptions) == [subscription]
+    assert subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert "/alpha/set_parameters" in {entity.service_name for entity in node.services}
+    node.destroy_publisher(publisher)
+    assert [entity.topic_name for entity in node.publishers] == ["/parameter_events"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import ParameterEvent
@@ -116,6 +116,21 @@ class Node(NodeGraph, NodeParameters):
         if new_executor is not None:
             new_executor.add_node(self)
 
+    @property
+    def publishers(self) -> Iterator[Publisher]:
+        """The node's publishers, that of /parameter_events among them."""
+        return (entity for entity in list(self._entities) if isinstance(entity, Publisher))
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The node's subscriptions."""
+        return (entity for entity in list(self._entities) if isinstance(entity, Subscription))
+
+    @property
+    def services(self) -> Iterator[Service]:
+        """The node's services, those of its parameters among them."""
+        return (entity for entity in list(self._entities) if isinstance(entity, Service))
+
     def get_clock(self) -> Clock:
         """Return the node's clock, which follows `use_sim_time`."""
         return self._clock
@@ -170,6 +185,7 @@ class Node(NodeGraph, NodeParameters):
         qos_profile: QoSProfile | int,
         *,
         callback_group: _Group = None,
+        raw: bool = False,
         **lacking: Any,
     ) -> Subscription:
         """Return a new subscription.
@@ -180,6 +196,7 @@ class Node(NodeGraph, NodeParameters):
             callback: called with each message.
             qos_profile: a profile, or the depth of a default one.
             callback_group: by default the node's.
+            raw: the callback gets the encoded bytes of each message in place of the message.
             lacking: arguments that are not supported.
 
         Raises:
@@ -190,7 +207,7 @@ class Node(NodeGraph, NodeParameters):
         inbox = Inbox(self, None if qos.history == HistoryPolicy.KEEP_ALL else qos.depth or DEFAULT_DEPTH)
         endpoint = transport.SubscriptionEndpoint(self._endpoint, name, _type_name(msg_type), qos, inbox)
         group = callback_group or self.default_callback_group
-        return self._keep(Subscription(endpoint, msg_type, topic, callback, group))
+        return self._keep(Subscription(endpoint, msg_type, topic, callback, group, raw))
 
     def create_client(
         self, srv_type: Any, srv_name: str, *, qos_profile: QoSProfile = SERVICE_QOS, callback_group: _Group = None
