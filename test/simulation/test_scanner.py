@@ -46,3 +46,24 @@ def test_a_scanner_can_be_played_again(volume):
 def test_negative_period_is_refused(volume):
     with pytest.raises(ConfigurationError, match="at least 0 ns, got -1 ns"):
         Scanner(volume).bscans(0, -1)
+
+
+def test_a_sparse_scan_takes_every_so_many_th_bscan_in_as_much_less_time(volume):
+    scanner = Scanner(volume, 2)
+    assert (scanner.count, scanner.spacing_m) == (3, 2 * volume.geometry.spacing_m[0])
+    scans = list(scanner.bscans(1_000, 250))
+    assert [scan.index for scan in scans] == [0, 1, 2]
+    assert [scan.stamp_ns for scan in scans] == [1_000, 1_250, 1_500]
+    np.testing.assert_array_equal(np.stack([scan.image for scan in scans]), volume.array[::2])
+    assert scans[2].image2oct[1, 3] == pytest.approx(4 * volume.geometry.spacing_m[0])
+    for factor in (0, 5):
+        with pytest.raises(ConfigurationError, match="factor of 1 to 4 for 5 B-scans"):
+            Scanner(volume, factor)
+
+
+def test_equal_scans_have_equal_hashes(volume):
+    again = make_phantom(PhantomConfig(shape=(5, 60, 20))).volume
+    assert Scanner(volume).content_hash == Scanner(again).content_hash
+    other = make_phantom(PhantomConfig(shape=(5, 60, 20), seed=1)).volume
+    hashes = {Scanner(volume).content_hash, Scanner(volume, 2).content_hash, Scanner(other).content_hash}
+    assert len(hashes) == 3
