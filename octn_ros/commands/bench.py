@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from octn_ros.evaluation.benchmark import BenchmarkResult
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.evaluation.registry.MODULES.
-BENCHMARK_NAMES = ("raster",)
+BENCHMARK_NAMES = ("raster", "sparse", "speed")
 _TABLE_WIDTH = 240
 
 
@@ -25,6 +25,7 @@ class BenchCommand:
     Attributes:
         name: which.
         data: folder of C-scans, None for phantoms.
+        spacing_um: of C-scans that state none, (bscan, axial, lateral).
         device: auto, cpu, cuda, ...
         quick: a reduced run of less than a minute.
         json: print JSON instead of a table.
@@ -33,6 +34,7 @@ class BenchCommand:
 
     name: str
     data: Path | None = None
+    spacing_um: tuple[float, float, float] | None = None
     device: str = "auto"
     quick: bool = False
     json: bool = False
@@ -56,7 +58,7 @@ class BenchCommand:
 
         measure, device = benchmark(self.name), str(torch_device(self.device))
         with terminal.ProgressBar() as bar:
-            result = measure(BenchmarkRequest(self.data, device, self.quick, bar.show))
+            result = measure(BenchmarkRequest(self.data, self.spacing_um, device, self.quick, bar.show))
         surroundings = environment(device)
         values = result_to_plain(result, surroundings) | {"quick": self.quick}
         if self.output is not None:
@@ -76,7 +78,8 @@ def add_parser(commands: Any) -> None:
     """Add the command to the parser's subcommands."""
     parser = commands.add_parser("bench", help="measure a table of the paper", description=__doc__)
     parser.add_argument("name", choices=BENCHMARK_NAMES, metavar="NAME", help=f"one of {', '.join(BENCHMARK_NAMES)}")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of C-scans to measure on as well")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of C-scans to measure on")
+    common.add_spacing(parser)
     common.add_device(parser)
     parser.add_argument("--quick", action="store_true", help="a reduced run that ends within a minute on two cores")
     parser.add_argument("--output", type=Path, metavar="DIR", help="write NAME.json, NAME.md and pictures there")
@@ -88,6 +91,7 @@ def _read(arguments: argparse.Namespace) -> BenchCommand:
     return BenchCommand(
         name=arguments.name,
         data=arguments.data,
+        spacing_um=common.spacing(arguments),
         device=arguments.device,
         quick=arguments.quick,
         json=arguments.json,
@@ -110,6 +114,8 @@ def _print_result(result: BenchmarkResult) -> None:
     for row in result.paper:
         table.add_row(*(column.text(row) for column in result.columns), style="dim")
     console = Console(highlight=False)
+    for key, value in result.figures.items():
+        console.print(f"{key}: {value if isinstance(value, bool) else f'{value:.4g}'}", markup=False)
     # A terminal can scroll or wrap a wide table; columns squeezed to two letters nobody can read.
     console.print(table, width=max(console.width, _TABLE_WIDTH), crop=False, soft_wrap=True)
     for sentence in (*result.notes, *result.deviations):

@@ -23,12 +23,14 @@ class BenchmarkRequest:
 
     Attributes:
         data: folder of C-scans, None for phantoms alone.
+        spacing_um: micrometres along (bscan, axial, lateral), for scans that state none; None to trust theirs.
         device: where fields are fitted and evaluated: auto, cpu, cuda, ...
         quick: a reduced run that ends within a minute on two cores.
         progress: told how far it is.
     """
 
     data: Path | None = None
+    spacing_um: tuple[float, float, float] | None = None
     device: str = "auto"
     quick: bool = False
     progress: Progress = silent
@@ -81,6 +83,7 @@ class BenchmarkResult:
         seeds: every seed by its name.
         pictures: PNG content by file name.
         seconds: how long it took.
+        figures: the few figures that stand for the whole, by plain keys; in the JSON they lie at the top as well.
     """
 
     name: str
@@ -94,6 +97,7 @@ class BenchmarkResult:
     seeds: Mapping[str, int]
     seconds: float
     pictures: Mapping[str, bytes] = dataclass_field(default_factory=dict)
+    figures: Mapping[str, float | bool] = dataclass_field(default_factory=dict)
 
 
 class Benchmark(Protocol):

@@ -8,7 +8,11 @@ from octn_ros.errors import ConfigurationError
 from octn_ros.evaluation.benchmark import Benchmark
 
 # Name on the command line -> module with `run`.
-MODULES = {"raster": "octn_ros.evaluation.raster"}
+MODULES = {
+    "raster": "octn_ros.evaluation.raster",
+    "sparse": "octn_ros.evaluation.sparse",
+    "speed": "octn_ros.evaluation.speed",
+}
 
 
 def benchmark(name: str) -> Benchmark:

@@ -63,7 +63,7 @@ def _shaped(grid: HashGridConfig, levels: int, base: int, ratio: float) -> HashG
         finest_ratio=ratio,
         follow_shape=True,
         log2_table_size=28,
-        level_growth=0.0,
+        lateral_growth=0.0,
     )
 
 

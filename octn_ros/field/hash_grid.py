@@ -41,10 +41,11 @@ class HashGridConfig:
         low=0.25,
         high=8.0,
     )
-    level_growth: float = setting(
+    lateral_growth: float = setting(
         0.0,
-        "resolution of a level over that of the next coarser one, counted down from the finest; 0 = as many steps as "
-        "there are levels from base_resolution to the finest (open in the paper)",
+        "lateral cells of a level over those of the next coarser one, counted down from the finest, all levels being "
+        "as fine as the finest along the other axes; 0 = cells grow alike along all axes, from base_resolution on "
+        "(open in the paper)",
         low=0.0,
         high=16.0,
     )
@@ -64,9 +65,9 @@ class HashGridConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if 0.0 < self.level_growth <= 1.0:
+        if 0.0 < self.lateral_growth <= 1.0:
             raise ConfigurationError(
-                f"level_growth: expected 0 or more than 1, got {self.level_growth}; levels grow finer"
+                f"lateral_growth: expected 0 or more than 1, got {self.lateral_growth}; levels grow finer"
             )
 
     def level_scales(self, shape: tuple[int, int, int]) -> list[tuple[float, float, float]]:
@@ -77,16 +78,17 @@ class HashGridConfig:
         """
         longest = max(shape)
         finest = max(self.finest_ratio * longest, self.base_resolution)
-        coarsest = float(self.base_resolution)
-        growth = (finest / coarsest) ** (1.0 / max(self.levels - 1, 1))
-        if self.level_growth:
-            growth, coarsest = self.level_growth, self.finest_ratio * longest / self.level_growth ** (self.levels - 1)
+        growth = (finest / self.base_resolution) ** (1.0 / max(self.levels - 1, 1))
         ratios = [1.0, 1.0, 1.0]
         if self.follow_shape:
             ratios = [shape[2] / longest, shape[1] / longest * self.axial_refinement, shape[0] / longest]
         scales = []
         for level in range(self.levels):
-            lateral, axial, bscan = (max(coarsest * growth**level * ratio - 1.0, 1.0) for ratio in ratios)
+            cells = [self.base_resolution * growth**level * ratio for ratio in ratios]
+            if self.lateral_growth:
+                cells = [self.finest_ratio * longest * ratio for ratio in ratios]
+                cells[0] /= self.lateral_growth ** (self.levels - 1 - level)
+            lateral, axial, bscan = (max(cells_along - 1.0, 1.0) for cells_along in cells)
             if self.cells_per_bscan:
                 bscan = self.cells_per_bscan * (shape[0] - 1)
             scales.append((lateral, axial, bscan))

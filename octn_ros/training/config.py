@@ -98,19 +98,19 @@ FAST = FitConfig(
     start_from_data=True,
     bricks=True,
 )
-# For scans with few B-scans, or with much speckle: every level keeps the B-scans apart, cells double in their plane
-# from level to level, and only the network is learned, from what B-scans share with their neighbours.
+# For scans with few B-scans, or with much speckle: every level keeps the B-scans apart, cells double across the
+# beam from level to level, and only the network is learned, from what B-scans share with their neighbours.
 SPARSE = FitConfig(
     preset="sparse",
     field=NeuralFieldConfig(
         HashGridConfig(
-            levels=4,
+            levels=3,
             features=2,
             log2_table_size=28,
             finest_ratio=0.7,
             follow_shape=True,
             axial_refinement=2.0,
-            level_growth=2.0,
+            lateral_growth=2.0,
             cells_per_bscan=1.0,
         ),
         NetworkConfig(hidden_layers=1, neurons=32),

@@ -128,8 +128,8 @@ def _predictions(
     predicted = np.unique(evaluated_bscans(volume.geometry).clip(1, bscans - 2))
     kept = min(axials * laterals, _MOST_SAMPLES // len(predicted))
     generator = np.random.default_rng(seed)
-    features = np.empty((len(predicted) * kept, model.grid.width), np.float32)
-    intensities = np.empty(len(features), np.float32)
+    features = np.zeros((len(predicted) * kept, model.grid.width), np.float32)
+    intensities = np.zeros(len(features), np.float32)
     for place, bscan in enumerate(predicted.tolist()):
         if cancelled():
             break

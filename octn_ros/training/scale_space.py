@@ -38,6 +38,7 @@ def fill_with_scales(grid: HashGrid, plane: Plane, shape: tuple[int, int, int], 
     bscans, axials, laterals = shape
     for number, level in enumerate(grid.grid_levels):
         _check_dense(number, level)
+        sigma = _axial_sigma(level, grid.grid_levels[-1], shape)
         table = grid.table.detach()[level.first_row : level.first_row + level.size]
         columns, rows, layers = level.vertices
         to_columns = axis_averages(laterals, level.scale[0], columns)
@@ -46,7 +47,8 @@ def fill_with_scales(grid: HashGrid, plane: Plane, shape: tuple[int, int, int], 
         for bscan in range(bscans):
             if cancelled():
                 return False
-            planes[bscan] = (to_rows @ (to_columns @ plane(bscan).T).T).ravel()
+            averaged = (to_columns @ plane(bscan).T).T
+            planes[bscan] = (to_rows @ _smoothed(averaged, sigma)).ravel()
         between = _between(bscans, level.scale[2], layers)
         for feature in range(grid.config.features):
             values = between @ _smoothed(planes, feature)
@@ -73,6 +75,7 @@ def features_between(
     answer = np.empty((axials, laterals, len(levels) * features), np.float32)
     for number, level in enumerate(levels):
         _check_dense(number, level)
+        sigma = _axial_sigma(level, levels[-1], (count, axials, laterals))
         columns, rows, layers = level.vertices
         at_place = _interpolation(np.array([position]), count, level.scale[2], layers, level.smooth)
         across = _interpolation(np.arange(laterals), laterals, level.scale[0], columns, level.smooth)
@@ -82,9 +85,18 @@ def features_between(
         along = along @ axis_averages(axials, level.scale[1], rows)
         for feature in range(features):
             weights = at_place @ _between(count, level.scale[2], layers) @ _smoothed(np.eye(count), feature)
-            summed = (np.float32(weights) @ stack).reshape(axials, laterals)
+            summed = _smoothed((np.float32(weights) @ stack).reshape(axials, laterals), sigma)
             answer[..., number * features + feature] = along @ (across @ summed.T).T
     return answer.reshape(axials * laterals, -1)
+
+
+def _axial_sigma(level: GridLevel, finest: GridLevel, shape: tuple[int, int, int]) -> float:
+    """Return the width in voxels of the Gaussian along the beam that goes with a level's cells across it.
+
+    A mean over the vertices' surroundings, interpolated between vertices, is about as wide as a Gaussian of 0.58 cells.
+    """
+    coarser = finest.scale[0] / level.scale[0]
+    return 0.0 if coarser == 1.0 else 0.58 * coarser * (shape[1] - 1) / finest.scale[1]
 
 
 def _smoothed(planes: NDArray[np.floating], sigma: float) -> NDArray[np.floating]:

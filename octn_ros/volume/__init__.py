@@ -7,6 +7,7 @@ from octn_ros.volume.intensity_scale import to_log_scale
 from octn_ros.volume.loading import load_volume
 from octn_ros.volume.normalisation import Normalisation
 from octn_ros.volume.saving import save_volume
+from octn_ros.volume.scan_files import scan_files
 from octn_ros.volume.subsampling import SparseScan, subsample_bscans
 from octn_ros.volume.volume import IntensityScale, Volume
 
@@ -23,6 +24,7 @@ __all__ = [
     "load_volume",
     "median_filter",
     "save_volume",
+    "scan_files",
     "subsample_bscans",
     "to_log_scale",
 ]

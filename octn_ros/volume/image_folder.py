@@ -17,7 +17,7 @@ from octn_ros.volume.scan_header import RawScan, ReadRequest, ScanHeader
 from octn_ros.volume.tiff import checked_pages
 
 _TIFF_SUFFIXES = (".tif", ".tiff")
-_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".pgm", *_TIFF_SUFFIXES)
+IMAGE_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".pgm", *_TIFF_SUFFIXES)
 # Types of Pillow's modes of grey images; "I" is what it makes of 16 bits in .pgm, though it has room for 32.
 _GREY_TYPES = {"L": np.uint8, "I": np.uint16, "I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16}
 _COLOUR_MODES = ("RGB", "RGBA", "P")
@@ -60,7 +60,8 @@ def numbered_images(path: Path) -> list[Path]:
     Raises:
         VolumeError: there are fewer than two, one has no number or another name, or a number is missing or repeated.
     """
-    images = [p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".") and p.is_file()]
+    named = (p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
+    images = [p for p in named if p.is_file()]
     numbered: dict[int, Path] = {}
     names: tuple[str, str, str] | None = None
     for image in sorted(images):
@@ -81,7 +82,7 @@ def numbered_images(path: Path) -> list[Path]:
             raise VolumeError(f"{image.name}: B-scan {number} is there already, in {numbered[number].name}")
         numbered[number] = image
     if len(numbered) < 2:
-        raise VolumeError(f"expected a folder of numbered images ({', '.join(_SUFFIXES)}), got {len(numbered)}")
+        raise VolumeError(f"expected a folder of numbered images ({', '.join(IMAGE_SUFFIXES)}), got {len(numbered)}")
     order = sorted(numbered)
     for before, after in itertools.pairwise(order):
         if after != before + 1:

@@ -37,6 +37,7 @@ _READERS = {
     ".oct": "vendor.read_vendor",
     ".img": "vendor.read_vendor",
 }
+READABLE_SUFFIXES = tuple(_READERS)
 # First bytes of a file whose suffix says nothing: where they stand and what they are.
 _MAGIC = (
     (344, b"n+1\0", ".nii"),

@@ -44,15 +44,15 @@ def random_volume(shape=SHAPE, seed=0):
     return volume_of(np.random.default_rng(seed).random(shape))
 
 
-def test_levels_keep_the_bscans_apart_and_double_in_their_plane():
-    """One cell from each B-scan to the next at every level; cells of the plane follow its voxels, whatever the axes."""
+def test_levels_keep_bscans_and_depths_apart_and_double_across_the_beam():
+    """One cell from each B-scan to the next and as many along the beam at every level, whatever the longest axis."""
     for shape in [(9, 40, 24), (200, 40, 24)]:
-        scales = SPARSE.field.grid.level_scales(shape)
-        assert [scale[2] for scale in scales] == [shape[0] - 1] * 4
-        np.testing.assert_allclose([scale[0] + 1 for scale in scales[1:]], [0.7 * 24 / 2**k for k in (2, 1, 0)])
-        np.testing.assert_allclose([scale[1] + 1 for scale in scales], [1.4 * 40 / 2**k for k in (3, 2, 1, 0)])
-    with pytest.raises(ConfigurationError, match="level_growth"):
-        HashGridConfig(level_growth=0.5)
+        lateral, axial, bscan = zip(*SPARSE.field.grid.level_scales(shape), strict=True)
+        assert bscan == (shape[0] - 1,) * 3
+        np.testing.assert_allclose(axial, [1.4 * 40 - 1] * 3)
+        np.testing.assert_allclose(lateral, [0.7 * 24 / 2**k - 1 for k in (2, 1, 0)])
+    with pytest.raises(ConfigurationError, match="lateral_growth"):
+        HashGridConfig(lateral_growth=0.5)
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "smoothstep"])
