@@ -13,6 +13,7 @@ from typing import Any
 import rclpy
 from rclpy.node import Node
 
+from octn_ros.nodes import process
 from octn_ros.nodes.planner import Planner
 from octn_ros.nodes.query import Query
 from octn_ros.nodes.simulator import Simulator
@@ -74,3 +75,4 @@ if __name__ == "__main__":
     rclpy.init(args=[])
     print(parameter_file(), end="")
     rclpy.try_shutdown()
+    process.leave_workers_behind()

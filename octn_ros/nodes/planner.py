@@ -28,6 +28,7 @@ from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.nodes.plan_publisher import PlanPublisher
 from octn_ros.nodes.plan_view import PlanView
 from octn_ros.nodes.scan_poses import ScanPoses
+from octn_ros.nodes.transforms import Transforms
 from octn_ros.nodes.worker import run_aside
 from octn_ros.planning import (
     Plan,
@@ -83,6 +84,7 @@ class Planner(Node):
         self._answers = Answers(self._diagnostics, self._status)
         self._publisher = PlanPublisher(self, self._calibration)
         self._view = PlanView(self, self._calibration, self._on_bad_view)
+        self._transforms = Transforms(self, self._calibration)
         # One group for all of them: no field arrives in the middle of a plan, so no plan mixes two fields.
         group = MutuallyExclusiveCallbackGroup()
         device = torch_device(config.device)

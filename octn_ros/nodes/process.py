@@ -60,11 +60,16 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-        if any_working():
-            # Before the interpreter waits for the threads that run kernels, which may be compiling for seconds; that is
-            # where concurrent.futures registers this wait, and atexit comes after it.
-            getattr(threading, "_register_atexit", atexit.register)(_leave)
+        leave_workers_behind()
     return 0
+
+
+def leave_workers_behind() -> None:
+    """See to it that the process ends without waiting for the threads that still work, if there are any."""
+    if any_working():
+        # Before the interpreter waits for the threads that run kernels, which may be compiling for seconds; that is
+        # where concurrent.futures registers this wait, and atexit comes after it.
+        getattr(threading, "_register_atexit", atexit.register)(_leave)
 
 
 def _leave() -> None:

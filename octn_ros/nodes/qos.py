@@ -36,6 +36,14 @@ REQUESTS = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 
+# What tf2 itself uses on /tf; on /tf_static it is LATCHED.
+TRANSFORMS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
 _SMALLEST_SCAN_DEPTH = 1024  # more than the B-scans of any C-scan in the paper; the queue is only filled when needed
 
 

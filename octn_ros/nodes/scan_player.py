@@ -9,10 +9,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from octn_ros.nodes import conversions, qos
+from octn_ros.nodes.transforms import BSCAN_FRAME
 from octn_ros.simulation import BScan, Scanner
 from octn_ros.volume import OCT_FRAME
 
-BSCAN_FRAME = "oct_bscan_frame"
 TIMER_S = 1e-3  # B-scans that come faster than this are sent several at a time
 
 
