@@ -87,10 +87,10 @@ class CScanFiles:
         if not stat.S_ISDIR(status.st_mode):
             raise VolumeError(f"{path}: expected a file or a folder of images, got neither")
         total = 0
-        for entry in os.scandir(path):
-            target = Path(os.path.realpath(entry.path))
+        for entry in path.iterdir():
+            target = Path(os.path.realpath(entry))
             if self._root is None or not target.is_relative_to(self._root):
-                raise VolumeError(f"{entry.path}: expected images below data_root, got a link that leads out of it")
+                raise VolumeError(f"{entry}: expected images below data_root, got a link that leads out of it")
             total += entry.stat().st_size if entry.is_file() else 0
         return total
 

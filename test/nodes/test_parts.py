@@ -9,7 +9,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
-from octn_ros.errors import ConfigurationError, PlanError
+from octn_ros.errors import ConfigurationError, PlanError, VolumeError
 from octn_ros.field.device import torch_device
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.bscan_pairs import BScanPairs
@@ -100,6 +100,67 @@ def test_the_pose_nearest_in_time_is_found_within_the_gap() -> None:
         history.add(StampedPose(second * 10**9, np.full((4, 4), second), "base_link"))
     assert history.nearest(2_400_000_000, 0.5).stamp_ns == 2 * 10**9
     assert history.nearest(9 * 10**9, 0.5) is None
+
+
+def test_images_without_poses_are_forgotten_before_they_fill_the_memory() -> None:
+    pairs = BScanPairs(100)
+    for stamp_ns in range(1, 5):
+        image = stamped(Image, stamp_ns)
+        image.data = conversions.to_bytes_field(bytes(25))
+        assert pairs.add_image(image) is None
+    with pytest.raises(VolumeError, match="got none for 5 images of 126 bytes"):
+        pairs.add_image(Image(header=conversions.header(5, ""), data=conversions.to_bytes_field(bytes(26))))
+    assert pairs.add_pose(stamped(PoseStamped, 5)) is None
+    assert pairs.add_image(stamped(Image, 6)) is None
+    assert pairs.add_pose(stamped(PoseStamped, 6)) is not None
+
+
+def test_a_job_that_restarts_ends_the_running_one_and_is_next() -> None:
+    worker, started, ended, done = Worker("test"), threading.Event(), threading.Event(), threading.Event()
+
+    def endless(cancelled) -> None:
+        started.set()
+        while not cancelled():
+            pass
+        ended.set()
+
+    worker.submit(endless)
+    assert started.wait(WAIT_S)
+    assert worker.submit(lambda cancelled: done.set(), restart=True)
+    assert ended.wait(WAIT_S)
+    assert done.wait(WAIT_S)
+    worker.close(WAIT_S)
+    assert worker.cancel() == 0
+
+
+def history_of(*poses: tuple[float, float, float]) -> PoseHistory:
+    """Return a history of (second, x in m, angle about z in rad)."""
+    history = PoseHistory()
+    for second, x, angle in poses:
+        ee2base = from_translation_quaternion((x, 0.0, 0.0), (0.0, 0.0, np.sin(angle / 2), np.cos(angle / 2)))
+        history.add(StampedPose(round(second * 1e9), ee2base, "base_link"))
+    return history
+
+
+def test_motion_is_the_largest_way_from_the_pose_at_the_start() -> None:
+    history = history_of((0.0, 5.0, 0.0), (1.0, 0.1, 0.0), (1.5, 0.4, 0.2), (2.0, -0.1, -1e-6), (3.0, 9.0, 0.0))
+    motion = history.motion(10**9, 2 * 10**9, 0.5)
+    assert motion is not None
+    assert motion.translation_m == pytest.approx(0.3)
+    assert motion.rotation_rad == pytest.approx(0.2)
+    small = history_of((1.0, 0.0, 0.0), (2.0, 0.0, 1e-6)).motion(10**9, 2 * 10**9, 0.5)
+    assert small is not None
+    assert small.rotation_rad == pytest.approx(1e-6, rel=1e-6)
+
+
+def test_where_poses_are_rare_the_first_one_after_the_stretch_counts() -> None:
+    history = history_of((0.9, 0.0, 0.0), (2.1, 0.5, 0.0), (2.2, 7.0, 0.0))
+    motion = history.motion(10**9, 2 * 10**9, 0.5)
+    assert motion is not None
+    assert motion.translation_m == pytest.approx(0.5)
+    assert history.motion(10**9, 2 * 10**9, 0.05) is None, "nobody knows where the arm was"
+    assert not history.heard_until(2_200_000_001)
+    assert history.heard_until(2_200_000_000)
 
 
 def pose_in(frame: str, pose: np.ndarray) -> PoseStamped:
