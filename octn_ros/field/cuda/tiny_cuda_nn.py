@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from octn_ros.errors import ConfigurationError
 from octn_ros.field.cuda.differentiated import DifferentiatedEvaluator
 from octn_ros.field.grid_level import GridLevel
 from octn_ros.field.hash_grid import HashGrid
@@ -75,6 +76,9 @@ class TinyCudaEncoding:
 
     Args:
         grid: a hash grid for which `why_not_published` has no objection; its table is shared.
+
+    Raises:
+        ConfigurationError: the installed version lays its levels out in another way.
     """
 
     def __init__(self, grid: HashGrid) -> None:
@@ -101,9 +105,9 @@ class TinyCudaEncoding:
         ).requires_grad_(False)
         expected = sum(level.rows for level in self.levels) * config.features
         if self._module.params.numel() != expected:
-            raise RuntimeError(
-                f"expected {expected} parameters of tiny-cuda-nn's encoding, got {self._module.params.numel()}: this "
-                "version lays its levels out differently; use the backend triton"
+            raise ConfigurationError(
+                f"expected {expected} parameters of tiny-cuda-nn's encoding, got {self._module.params.numel()}: its "
+                "installed version lays its levels out in another way; use the backend triton"
             )
 
     def __call__(self, points: Tensor) -> Tensor:
