@@ -67,6 +67,13 @@ class BScanStream:
         """B-scans of the C-scan that is being assembled."""
         return self._assembler.received if self._assembler else 0
 
+    @property
+    def state(self) -> str:
+        """What is done: "scanning", "waiting for the arm", or nothing: ""."""
+        if self._unproven is not None:
+            return "waiting for the arm"
+        return "scanning" if self.received else ""
+
     def _on_image(self, message: Image) -> None:
         self._guarded(lambda: self._on_pair(self._pairs.add_image(message)))
 

@@ -48,6 +48,10 @@ class PoseHistory:
         self._poses: deque[StampedPose] = deque(maxlen=_KEPT)
         self._lock = threading.Lock()
 
+    def __len__(self) -> int:
+        """Return how many poses are kept."""
+        return len(self._poses)
+
     def add(self, pose: StampedPose) -> None:
         """Keep a pose."""
         with self._lock:

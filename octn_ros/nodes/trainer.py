@@ -197,16 +197,18 @@ class Trainer(Node):
         )
 
     def _describe(self) -> tuple[bytes, str, dict[str, Any]]:
-        known, fitting = self._present.known, self._fitter.busy
+        known = self._present.known
+        state = ", ".join(filter(None, (self._stream.state, "fitting" if self._fitter.busy else ""))) or "idle"
         values: dict[str, Any] = {
-            "state": "fitting" if fitting else "idle",
+            "state": state,
             "device": str(self._device),
             "field_path": str(self._store.path) if self._store else "",
             "bscans_received": self._stream.received,
             "cscans_refused": self._stream.refusals,
+            "ee_poses_kept": len(self._poses),
         }
         if known is None:
-            return status.OK, "fitting" if fitting else "no C-scan yet", values
+            return status.OK, f"no C-scan yet; {state}", values
         age_s = self._diagnostics.age_s(known.stamp_ns)
         values |= {
             "scan_stamp_ns": known.stamp_ns,
@@ -217,8 +219,7 @@ class Trainer(Node):
         figures = self._fitter.figures
         if figures.get("field_hash") == known.hash:
             values |= {f"fit.{name}": figures[name] for name in FITTED if name in figures}
-        message = f"{known.kind} field of a scan {age_s:.0f} s ago" + ("; fitting" if fitting else "")
-        return status.OK, message, values
+        return status.OK, f"{known.kind} field of a scan {age_s:.0f} s ago; {state}", values
 
 
 def main(args: list[str] | None = None) -> int:
