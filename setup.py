@@ -25,8 +25,8 @@ TEST = [
     *EMBEDDED,
     "hypothesis>=6.100",
     "mypy>=1.10",
-    "pytest>=8.0",
-    "pytest-timeout>=2.3",
+    "pytest>=7.4",
+    "pytest-timeout>=2.2",
     "ruff>=0.6",
     "trimesh>=4.0",  # reads the meshes we write
     # Its interpreter runs the GPU's kernels on the CPU, and its compiler builds them for GPUs that are not there.
