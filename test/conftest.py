@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,8 @@ from octn_ros import embedded
 # Time is measured in benchmarks; on a busy machine a deadline would fail a test that is right.
 settings.register_profile("octn", deadline=None)
 settings.load_profile("octn")
+
+WARM_UP_S = 60.0  # at most: numba compiles all kernels anew after a change of them
 
 
 def _own_graph() -> None:
@@ -49,6 +52,15 @@ def _ros_home_of_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
 @pytest.fixture(autouse=True)
 def _ros_home_of_test(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     yield from _own_home(tmp_path_factory.getbasetemp())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_kernel_outlives_the_tests() -> Iterator[None]:
+    """Python aborts where it ends under a thread that still compiles, as those do that warm a node's kernels up."""
+    yield
+    for thread in threading.enumerate():
+        if type(thread).__name__ == "_WorkerThread":
+            thread.join(WARM_UP_S)
 
 
 @pytest.fixture
