@@ -22,6 +22,12 @@ def state_of(message: DiagnosticArray) -> str:
     return status.read(message)[2]["state"]
 
 
+def is_fitted_since(message: DiagnosticArray, time_ns: int) -> bool:
+    """Return whether a planner's report is about a fitted field, of a scan taken since then."""
+    values = status.read(message)[2]
+    return values.get("field_kind") == "neural" and int(values["stamp_ns"]) >= time_ns
+
+
 def ask(client: GraphClient, service: str) -> None:
     """Call one of the Trigger services, and stop with its own words if it refuses."""
     answer = client.call(Trigger, service, Trigger.Request(), timeout_s=10)
@@ -35,9 +41,11 @@ def drive(corners_m: list[float]) -> None:
     with GraphClient() as client:
         planner = client.watch(DiagnosticArray, "plan_status")
         arm = client.watch(DiagnosticArray, "execution_status")
+        asked_ns = client.node.get_clock().now().nanoseconds
         ask(client, "scan")
-        # The field through the measured voxels comes first, then the fitted one, which takes its plans away again.
-        planner.wait(120, lambda message: status.read(message)[2].get("field_kind") == "neural")
+        # The field through the measured voxels comes first, then the fitted one, which takes its plans away again. A
+        # trainer that was started again may have published the one it kept, of an older scan.
+        planner.wait(120, lambda message: is_fitted_since(message, asked_ns))
 
         request = GetPlan.Request()  # its tolerance is the line spacing in metres, 0 for the planner's parameter
         request.start.header.frame_id = request.goal.header.frame_id = "oct_optical_frame"
