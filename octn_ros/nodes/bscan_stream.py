@@ -87,8 +87,8 @@ class BScanStream:
             self._drop(f"C-scan dropped: {error}")
         except Exception as error:  # a fault of ours, or memory that ran out: the node lives on
             self._drop(f"C-scan dropped: {type(error).__name__}: {error}")
-        # Whatever was dropped or not, a C-scan may have begun.
-        if self.received:
+        # Whatever was dropped or not, there may be something to look for. A timer that runs is left to run.
+        if self.state and self._look_timer.is_canceled():
             self._look_timer.reset()
 
     def _drop(self, reason: str) -> None:
@@ -114,8 +114,6 @@ class BScanStream:
             self._unproven = volume, assembler.last_stamp_ns, self._heard_ns
             if self._poses.nearest(stamp_ns, self._config().largest_pose_gap_s) is None or self._proven():
                 self._settle()
-            else:
-                self._look_timer.reset()
 
     def _assembling(self) -> CScanAssembler:
         config = self._config()
