@@ -22,12 +22,13 @@ class ScanPlayer:
     Args:
         node: the node that speaks.
         bscans: the most that a C-scan has, for the depth of the queues.
+        reliability: of both topics, one of `qos.RELIABILITIES`.
     """
 
-    def __init__(self, node: Node, bscans: int) -> None:
+    def __init__(self, node: Node, bscans: int, reliability: str = "reliable") -> None:
         self._node = node
         self._unsent: deque[BScan] = deque()
-        profile = qos.scan_profile(bscans)
+        profile = qos.scan_profile(bscans, reliability)
         self._image = node.create_publisher(Image, "bscan", profile)
         self._pose = node.create_publisher(PoseStamped, "bscan_pose", profile)
         self._timer = node.create_timer(TIMER_S, self._send)

@@ -6,20 +6,18 @@ import sys
 import threading
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from sensor_msgs.msg import Image
-from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.errors import OctnError
-from octn_ros.nodes import conversions, process, qos, status
+from octn_ros.nodes import process, status
 from octn_ros.nodes.diagnostics import NodeDiagnostics
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.nodes.plan_inbox import PlanInbox
 from octn_ros.nodes.scan_player import ScanPlayer
 from octn_ros.nodes.simulator_config import FIXED, SimulatorConfig
+from octn_ros.nodes.station_reports import StationReports
 from octn_ros.planning import from_translation_quaternion, load_calibration
 from octn_ros.resources import config_path
 from octn_ros.simulation import (
@@ -36,10 +34,10 @@ from octn_ros.simulation import (
     Station,
     TissueMotionConfig,
 )
-from octn_ros.volume import OCT_FRAME, load_volume
+from octn_ros.volume import load_volume
 
 STATUS_PERIOD_NS = 500_000_000  # between reports of a running execution
-LONGEST_STEP = 5  # control periods: where the process is held up for longer, the arm and its laser wait too
+LONGEST_STEP = 5  # control periods: where the process is held up for longer, a lit arm and its laser wait too
 
 
 class Simulator(Node):
@@ -75,14 +73,9 @@ class Simulator(Node):
         )
         self._looking = False  # a scan is being made ready
         self._stepped_ns = self._reported_ns = 0
-        self._shown: bool | None = None
 
-        self._player = ScanPlayer(self, self._station.shape[0])
-        self._ee_pose = self.create_publisher(PoseStamped, "ee_pose", qos.STREAM)
-        self._tissue_motion = self.create_publisher(Vector3Stamped, "tissue_motion", qos.STREAM)
-        self._laser_on = self.create_publisher(Bool, "laser_on", qos.LATCHED)
-        self._removed_depth = self.create_publisher(Image, "removed_depth", qos.LATCHED)
-        self._status = status.StatusTopic(self, "execution_status", qos.LATCHED)
+        self._player = ScanPlayer(self, self._station.shape[0], config.bscan_reliability)
+        self._reports = StationReports(self, self._station, self._lock, self._calibration.base_frame, self._now_ns)
         self._plans = PlanInbox(self, self._on_plan, self._on_withdrawal, self._on_bad_plan)
         self._diagnostics = NodeDiagnostics(self, self._describe)
         self.create_service(Trigger, "scan", self._scan)
@@ -91,14 +84,15 @@ class Simulator(Node):
         self.create_service(Trigger, "execute", self._execute, callback_group=commands)
         self.create_service(Trigger, "abort", self._abort, callback_group=commands)
         self.create_service(SetBool, "enable_laser", self._enable_laser, callback_group=commands)
-        self.create_timer(1.0 / config.ee_pose_rate_hz, self._publish_motion, callback_group=motion)
+        self.create_timer(1.0 / config.ee_pose_rate_hz, self._show_motion, callback_group=motion)
         # The control period costs a fifth of a core, so its timer runs while the arm moves only.
         self._step_timer = self.create_timer(arm.control_period_s, self._step, callback_group=motion)
         self._step_timer.cancel()
         self._longest_step_s = LONGEST_STEP * arm.control_period_s
         shape = " x ".join(str(n) for n in self._station.shape)
-        self._publish_removed()
-        self._report(status.OK, f"ready: {config.volume_file or phantom.name}, {shape} voxels")
+        self._reports.show_laser()
+        self._reports.show_removed()
+        self._reports.say(status.OK, f"ready: {config.volume_file or phantom.name}, {shape} voxels")
 
     # --- scanner
 
@@ -109,13 +103,15 @@ class Simulator(Node):
                 response.success = True
             except OctnError as error:
                 response.message = f"scan refused: {error}"
+            except Exception as error:  # a fault of ours, or memory that ran out: the node and its callers live on
+                response.message = f"scan failed: {type(error).__name__}: {error}"
             finally:
                 self._looking = False
             if response.success:
-                self._publish_motion()  # one more pose near the scan's stamp, however seldom they are published
+                self._show_motion()  # one more pose near the scan's stamp, however seldom they are published
             else:
                 asked.refused(response.message)
-            self._report(status.OK if response.success else status.WARN, response.message)
+            self._reports.say(status.OK if response.success else status.WARN, response.message)
         return response
 
     def _begin_scan(self) -> str:
@@ -158,11 +154,11 @@ class Simulator(Node):
         except OctnError as error:
             self._on_bad_plan(str(error))
             return
-        self._report(status.OK, f"plan of {len(path)} waypoints staged")
+        self._reports.say(status.OK, f"plan of {len(path)} waypoints staged")
 
     def _on_bad_plan(self, reason: str) -> None:
         self._diagnostics.failed(f"plan refused: {reason}")
-        self._report(status.ERROR, f"plan refused: {reason}")
+        self._reports.say(status.ERROR, f"plan refused: {reason}")
 
     def _on_withdrawal(self) -> None:
         with self._lock:
@@ -172,7 +168,7 @@ class Simulator(Node):
                 return
             self._station.withdraw()
         if state == "staged":
-            self._report(status.WARN, "the planner has withdrawn the plan")
+            self._reports.say(status.WARN, "the planner has withdrawn the plan")
 
     # --- execution
 
@@ -183,7 +179,7 @@ class Simulator(Node):
             else:
                 self._station.enabled = bool(request.data)
                 response.message = "the laser is enabled" if request.data else "the laser is disabled"
-                self._report(status.OK, response.message)
+                self._reports.say(status.OK, response.message)
         response.success = True
         return response
 
@@ -201,12 +197,12 @@ class Simulator(Node):
             except OctnError as error:
                 response.message = f"execute refused: {error}"
                 asked.refused(response.message)
-                self._report(status.ERROR, response.message)
+                self._reports.say(status.ERROR, response.message)
                 return response
             self._start_stepping()
             response.success = True
             response.message = f"executing {station.arm.progress[1]} waypoints"
-            self._report(status.OK, response.message)
+            self._reports.say(status.OK, response.message)
         return response
 
     def _abort(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -224,12 +220,12 @@ class Simulator(Node):
         """Turn the laser off and stop; the lock is held. Returns what happened in words."""
         was = self._station.arm.state
         reason = self._station.stop(reason, self._now_ns(), self._config.config().time_factor)
-        self._show_laser()
+        self._reports.show_laser()
         words = f"{'aborted' if was == 'executing' else 'stopped'}: {reason}"
         if was == "executing":
             self._diagnostics.failed(words)
-            self._publish_removed()
-        self._report(status.WARN, words)
+            self._reports.show_removed()
+        self._reports.say(status.WARN, words)
         return words
 
     def _start_stepping(self) -> None:
@@ -245,72 +241,36 @@ class Simulator(Node):
                 self._step_timer.cancel()
                 return
             station.move_tissue(motion, now_ns)
-            passed_s = min(max(now_ns - self._stepped_ns, 0) * 1e-9, self._longest_step_s)
+            passed_s = max(now_ns - self._stepped_ns, 0) * 1e-9
+            if station.arm.state == "executing":
+                passed_s = min(passed_s, self._longest_step_s)
             self._stepped_ns = now_ns
-            reason = station.step(passed_s, interlock, alive, now_ns, config.time_factor)
-            self._show_laser()
+            try:
+                reason = station.step(passed_s, interlock, alive, now_ns, config.time_factor)
+            except Exception as error:  # a fault of ours must not leave the laser on
+                reason = station.stop(f"{type(error).__name__}: {error}", now_ns, config.time_factor)
+            self._reports.show_laser()
             if reason is not None:
                 self._diagnostics.failed(f"aborted: {reason}")
-                self._publish_removed()
-                self._report(status.ERROR, f"aborted: {reason}")
+                self._reports.show_removed()
+                self._reports.say(status.ERROR, f"aborted: {reason}")
             elif station.arm.state == "done":
-                self._publish_removed()
-                self._report(status.OK, f"done: {station.arm.executed} shots")
+                self._reports.show_removed()
+                self._reports.say(status.OK, f"done: {station.arm.executed} shots")
             elif now_ns - self._reported_ns >= STATUS_PERIOD_NS:
                 self._reported_ns = now_ns
-                self._report(status.OK, station.arm.state, log=False)
-
-    # --- what is told
+                self._reports.say(status.OK, station.arm.state, log=False)
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def _publish_motion(self) -> None:
-        motion = self._motion.config()
+    def _show_motion(self) -> None:
         with self._lock:
-            now_ns = self._now_ns()
-            self._station.move_tissue(motion, now_ns)
-            pose, moved_m = self._station.arm.ee2base, self._station.measured_motion_m(now_ns)
-        self._ee_pose.publish(conversions.matrix_to_pose_stamped(pose, now_ns, self._calibration.base_frame))
-        message = Vector3Stamped(header=conversions.header(now_ns, OCT_FRAME))
-        message.vector.x, message.vector.y, message.vector.z = (float(value) for value in moved_m)
-        self._tissue_motion.publish(message)
-
-    def _show_laser(self) -> None:
-        laser_on = self._station.arm.laser_on
-        if laser_on != self._shown and self.context.ok():
-            self._shown = laser_on
-            self._laser_on.publish(Bool(data=laser_on))
-
-    def _publish_removed(self) -> None:
-        """Publish the truth that only a simulator knows: what is gone at each A-scan of its first scan."""
-        self._show_laser()
-        tissue = self._station.tissue
-        if tissue is not None and self.context.ok():
-            removed = tissue.removed_m.astype("float32")
-            self._removed_depth.publish(conversions.to_image(removed, self._now_ns(), OCT_FRAME))
-
-    def _values(self) -> dict[str, Any]:
-        station = self._station
-        passed, count = station.arm.progress
-        return {
-            "state": station.arm.state,
-            "laser_enabled": station.enabled,
-            "laser_on": station.arm.laser_on,
-            "scan_stamp_ns": station.scan_stamp_ns,
-            "waypoints": count,
-            "passed": passed,
-            "shots": station.arm.executed,
-            **station.figures(),
-        }
-
-    def _report(self, level: bytes, message: str, *, log: bool = True) -> None:
-        with self._lock:
-            self._status.report(level, message, self._values(), log=log)
+            self._station.move_tissue(self._motion.config(), self._now_ns())
+        self._reports.show_motion()
 
     def _describe(self) -> tuple[bytes, str, dict[str, Any]]:
-        with self._lock:
-            values = self._values()
+        values = self._reports.values()
         if values["scan_stamp_ns"]:
             values["scan_age_s"] = self._diagnostics.age_s(values["scan_stamp_ns"])
         return status.WARN if values["state"] == "aborted" else status.OK, values["state"], values

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from octn_ros.nodes.qos import RELIABILITIES
 from octn_ros.settings import check_settings, setting
 from octn_ros.simulation import default_audit_path
 
@@ -16,6 +17,7 @@ FIXED = (
     "arm_position_m",
     "arm_orientation",
     "audit_path",
+    "bscan_reliability",
 )
 """Parameters that can be given at the start only."""
 
@@ -36,6 +38,10 @@ class SimulatorConfig:
     bscan_factor: int = setting(
         1, "the paper's SF: every so many-th B-scan is acquired, which takes as much less time", low=1, high=64
     )
+    bscan_reliability: str = setting(
+        "reliable", "reliability of bscan and bscan_pose; a reliable subscriber hears nothing of best_effort ones",
+        choices=RELIABILITIES,
+    )  # fmt: skip
     ee_pose_rate_hz: float = setting(50.0, "how often ee_pose is published", unit="Hz", low=0.1, high=1000.0)
     arm_position_m: tuple[float, float, float] = setting(
         (0.42, 0.08, 0.30), "where the end effector stands at a scan, in the base frame", unit="m"

@@ -246,7 +246,7 @@ class Station:
             try:
                 self._fire(cut, now_ns, factor)
                 self.execution.end("aborted", reason, now_ns)
-            except ExecutionError as error:
+            except Exception as error:  # the laser is off already; what is left to do is to say why
                 reason = f"{reason}; {error}"
         return reason
 

@@ -22,7 +22,7 @@ from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.simulator import Simulator
 from octn_ros.planning import load_calibration
 from octn_ros.resources import config_path
-from octn_ros.simulation import LaserConfig, PhantomConfig, make_phantom
+from octn_ros.simulation import LaserConfig, PhantomConfig, PhantomTissue, make_phantom
 from octn_ros.volume import save_volume
 
 TIMEOUT_S = 30.0
@@ -418,3 +418,27 @@ def test_a_sparse_scan_takes_as_much_less_time(spin: Callable[..., Any], client:
     places = [pose.pose.position.y for pose in bench.bscan_pose.messages]
     np.testing.assert_allclose(places, 4 * 28e-6 * np.arange(10), atol=1e-12)
     assert len(bench.bscan.messages) == 10
+
+
+def test_a_fault_in_a_step_turns_the_laser_off(
+    spin: Callable[..., Any], client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "audit.jsonl"
+    bench = Bench(spin, client, audit_path=str(path), **ON_TIME)
+    executing(bench)
+
+    def broken(*arguments: Any) -> float:
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(PhantomTissue, "fire", broken)
+    ended(bench, path, "a fault of ours")
+    monkeypatch.undo()
+    assert bench.scan() > 0, "the node lives on"
+
+
+def test_a_best_effort_scanner_says_so(spin: Callable[..., Any], client: Any) -> None:
+    spin(Simulator, phantom__shape=list(SHAPE), bscan_reliability="best_effort")
+    heard = client.watch(Image, "bscan", qos.scan_profile(SHAPE[0], "best_effort"))
+    client.watch(PoseStamped, "bscan_pose", qos.scan_profile(SHAPE[0], "best_effort"))
+    client.wait_for(lambda: client.call(Trigger, "scan", Trigger.Request(), TIMEOUT_S).success, TIMEOUT_S, "scan")
+    assert heard.wait(TIMEOUT_S).height == SHAPE[1]
