@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -41,12 +42,12 @@ class GridLevel:
         dense = vertices <= capacity
         return cls(scale, dense, first_row, vertices if dense else capacity, smooth)
 
-    @property
+    @cached_property
     def vertices(self) -> tuple[int, int, int]:
         """Vertices that its cells touch along (lateral, axial, bscan)."""
         return vertices_along(self.scale)
 
-    @property
+    @cached_property
     def factors(self) -> tuple[int, int, int]:
         """What a vertex number is multiplied by along each axis before the three are combined."""
         return (1, self.vertices[0], self.vertices[0] * self.vertices[1]) if self.dense else PRIMES
