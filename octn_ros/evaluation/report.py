@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ def result_to_plain(result: BenchmarkResult, environment: dict[str, Any]) -> dic
             "seeds": dict(result.seeds),
             "seconds": result.seconds,
             "pictures": sorted(result.pictures),
+            "figures": dict(result.figures),
+            **result.figures,
             **environment,
         }
     )
@@ -43,6 +45,7 @@ def markdown(result: BenchmarkResult, environment: dict[str, Any]) -> str:
         + (f", {hardware['gpu']}" if hardware["gpu"] else "")
         + f"; {result.seconds:.0f} s.",
         "",
+        *_figures(result.figures),
         *_table(result.rows, result.columns),
         "",
         "## The paper's figures",
@@ -85,6 +88,13 @@ def _table(rows: Sequence[Row], columns: Sequence[Column]) -> list[str]:
     head = "| " + " | ".join(column.title for column in columns) + " |"
     rule = "|" + " --- |" * len(columns)
     return [head, rule, *("| " + " | ".join(column.text(row) for column in columns) + " |" for row in rows)]
+
+
+def _figures(figures: Mapping[str, float | bool]) -> list[str]:
+    if not figures:
+        return []
+    lines = [f"| {key} | {value if isinstance(value, bool) else f'{value:.4g}'} |" for key, value in figures.items()]
+    return ["| figure | |", "| --- | --- |", *lines, ""]
 
 
 def _list(title: str, sentences: Sequence[str]) -> list[str]:
