@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import io
 import json
 import os
@@ -84,12 +86,20 @@ class FieldStore:
         np.save(view, kept.enface, allow_pickle=False)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(self.path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-                archive.writestr(_RECORD, json.dumps(record))
-                archive.writestr(_ENFACE, view.getvalue())
-                archive.writestr(_FIELD, kept.data)
+            with replacing(self.path) as temporary:
+                temporary.touch(mode=0o600)  # tissue of a patient is for nobody else on the machine
+                with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+                    archive.writestr(_RECORD, json.dumps(record))
+                    archive.writestr(_ENFACE, view.getvalue())
+                    archive.writestr(_FIELD, kept.data)
         except OSError as error:
             raise CheckpointError(f"{self.path}: cannot keep the field: {error.strerror or error}") from error
+
+    def clear_leftovers(self) -> None:
+        """Remove what a process left behind that was killed while it kept a field; for the only user of the file."""
+        for leftover in self.path.parent.glob(f".{'?' * 12}.{glob.escape(self.path.name)}"):
+            with contextlib.suppress(OSError):
+                leftover.unlink()
 
     def load(self) -> KeptField | None:
         """Return the kept field, checked against its hash and its own header; None if none is kept.

@@ -178,6 +178,7 @@ class Trainer(Node):
         """Publish the field that was kept on disk, with the stamp of its scan; a damaged one is only reported."""
         if self._store is None:
             return
+        self._store.clear_leftovers()
         try:
             kept = self._store.load()
             if kept is None:

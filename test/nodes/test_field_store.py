@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import zipfile
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from octn_ros.errors import CheckpointError
-from octn_ros.field import dumps_volume, field_hash, load_field
+from octn_ros.field import field_hash, load_field, volume_parts
 from octn_ros.nodes.field_store import FieldStore, KeptField, store_path
 from octn_ros.nodes.pose_history import StampedPose
 from octn_ros.planning import from_translation_quaternion
@@ -24,7 +25,7 @@ EE2BASE = from_translation_quaternion((0.1, 0.2, 0.3), (0.0, 0.6, 0.0, 0.8))
 def kept_of(seed: int) -> KeptField:
     voxels = np.random.default_rng(seed).integers(0, 250, (5, 6, 7)).astype(np.uint8)
     volume = Volume.from_array(voxels, (28e-6, 14e-6, 14e-6), stamp_ns=STAMP_NS)
-    data = dumps_volume(volume)
+    data = b"".join(volume_parts(volume))
     pose = StampedPose(STAMP_NS - 7, EE2BASE, "base_link")
     return KeptField(data, field_hash(data), STAMP_NS, "oct_optical_frame", volume.normalized().max(axis=1), pose)
 
@@ -151,6 +152,29 @@ def test_a_field_that_cannot_be_kept_leaves_the_last_one(store: FieldStore, monk
     assert found is not None
     assert found.data == kept_of(1).data
     assert len(list(store.path.parent.iterdir())) == 1
+
+
+def test_nobody_else_may_read_it(store: FieldStore) -> None:
+    store.keep(kept_of(1))
+    assert store.path.stat().st_mode & 0o777 == 0o600
+
+
+def test_what_a_killed_process_left_behind_is_cleared_away(store: FieldStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    store.clear_leftovers()  # of a folder that is not there yet
+    store.keep(kept_of(1))
+    other = store.path.with_name(".settings")
+    other.touch()
+    monkeypatch.setattr(Path, "unlink", lambda path, missing_ok=False: None)  # as if killed before it is tidied up
+    monkeypatch.setattr(os, "fsync", lambda file: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        store.keep(kept_of(2))
+    monkeypatch.undo()
+    assert len(list(store.path.parent.iterdir())) == 3
+    store.clear_leftovers()
+    assert sorted(path.name for path in store.path.parent.iterdir()) == sorted([other.name, store.path.name])
+    found = store.load()
+    assert found is not None
+    assert found.data == kept_of(1).data
 
 
 def test_a_folder_in_its_place_is_an_error_both_ways(tmp_path: Path) -> None:
