@@ -91,5 +91,5 @@ def profile_picture(
         axes.set_xlabel("lateral x (mm)")
         axes.set_ylabel("depth z (mm)")
         axes.grid(color="#e3e6ea", linewidth=0.8)
-        axes.legend(loc="best", ncols=2)
+        figure.legend(loc="outside lower left", ncols=len(surfaces_m))
         return canvas.png(figure)

@@ -32,7 +32,12 @@ PLATFORM: Mapping[str, Any] = {
 
 
 def closed_loop_demo(
-    config: PhantomConfig, request: AblationRequest, fit_parameters: Mapping[str, Any], output: Path, show: Show
+    config: PhantomConfig,
+    request: AblationRequest,
+    fit_parameters: Mapping[str, Any],
+    output: Path,
+    show: Show,
+    recording: Path | None = None,
 ) -> ClosedLoopResult:
     """Ablate a phantom in a closed loop, work out the figures, write the report and the audit record.
 
@@ -42,6 +47,7 @@ def closed_loop_demo(
         fit_parameters: parameters of the trainer, `fit.time_budget_s` among them.
         output: directory for the report and the record; it exists. A record that lies there is replaced.
         show: told what is going on.
+        recording: a file for a recording of the graph, None for none.
 
     Raises:
         OctnError: a node refused, failed or did not answer in time, or a file cannot be written.
@@ -52,7 +58,7 @@ def closed_loop_demo(
         source = phantom_source(config)
     try:
         audit.unlink(missing_ok=True)
-        record = run_closed_loop(source, request, fit_parameters, PLATFORM, audit, show)
+        record = run_closed_loop(source, request, fit_parameters, PLATFORM, audit, show, recording)
         show("drawing", 0.0, "")
         seconds = {**watch.seconds, **record.seconds}
         geometry = source.volume.geometry
@@ -97,7 +103,8 @@ def _pictures(
         ReportPicture(
             "The surface along one B-scan",
             "Coloured: the surface of the field fitted to each scan by its largest axial rise (eq. 3); thin: the true "
-            "one. On the walls, which are steeper than the scan resolves, the two part.",
+            "one. A constant offset between them does not matter to the depth gone; on the walls, which are steeper than "
+            "the scan resolves, they part.",
             closed_loop_pictures.profile_picture(
                 [surface.depth_m[row] for surface in record.surfaces],
                 [whole + gone[true_row] for gone in removed],
