@@ -103,8 +103,8 @@ def _pictures(
         ReportPicture(
             "The surface along one B-scan",
             "Coloured: the surface of the field fitted to each scan by its largest axial rise (eq. 3); thin: the true "
-            "one. A constant offset between them does not matter to the depth gone; on the walls, steeper than the scan "
-            "resolves, they part.",
+            "one. A constant offset between them does not matter to the depth gone. On the walls, which are steeper "
+            "than the scan resolves, they part.",
             closed_loop_pictures.profile_picture(
                 [surface.depth_m[row] for surface in record.surfaces],
                 [whole + gone[true_row] for gone in removed],
