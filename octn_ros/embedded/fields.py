@@ -16,10 +16,11 @@ ZERO = {bool: False, bytes: b"\0", str: "", float: 0.0, int: 0}
 
 
 class Field(NamedTuple):
-    """One field: default, and value -> value to keep (or error)."""
+    """One field: default, value -> value to keep (or error), and a type whose values are all kept as they are."""
 
     default: Callable[[], Any]
     convert: Callable[[Any], Any]
+    kept: type | None = None
 
 
 def make_field(owner: str, name: str, kind: int, argument: Any, classes: Callable[[str], type]) -> Field:
@@ -36,7 +37,7 @@ def make_field(owner: str, name: str, kind: int, argument: Any, classes: Callabl
 
     if kind == NAME:
         cls = classes(argument)
-        return Field(cls, lambda v: v if isinstance(v, cls) else refuse(v, f"of type '{cls.__name__}'"))
+        return Field(cls, lambda v: v if isinstance(v, cls) else refuse(v, f"of type '{cls.__name__}'"), cls)
     if kind == BASE:
         return _scalar(owner, name, argument, refuse)
     (item_kind, item_argument), size = argument
@@ -81,7 +82,7 @@ def _scalar(owner: str, name: str, argument: tuple[str, int], refuse: Callable[[
 
     default = DEFAULTS.get((owner, name), ZERO[python])
     if base == "float64":  # every float is in range; poses are made of these
-        return Field(lambda: default, lambda v: v if isinstance(v, float) else refuse(v, "of type 'float'"))
+        return Field(lambda: default, lambda v: v if isinstance(v, float) else refuse(v, "of type 'float'"), float)
     return Field(lambda: default, convert)
 
 

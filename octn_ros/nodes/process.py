@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import sys
 import threading
@@ -41,6 +42,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     node = None
     try:
         node = make_node()
+        # What was imported and made so far stays: millions of objects that the collector need not walk through, which
+        # takes longer than all else, whenever a path of thousands of poses is made.
+        gc.freeze()
         executor = MultiThreadedExecutor(num_threads=THREADS)
         executor.add_node(node)
         executor.spin()

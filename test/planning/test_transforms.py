@@ -97,3 +97,14 @@ def test_quaternions_do_not_flip_along_a_path():
     np.testing.assert_allclose(Rotation.from_quat(quaternions).as_matrix(), poses[:, :3, :3], atol=1e-12)
     assert quaternions[0, 3] >= 0
     assert quaternions_xyzw(poses[:0]).shape == (0, 4)
+
+
+def test_quaternions_are_scipys_also_for_half_turns_about_any_axis() -> None:
+    axes = Rotation.random(50, random_state=2).apply([0.0, 0.0, 1.0])
+    half_turns = Rotation.from_rotvec(np.pi * np.vstack([np.eye(3), axes]))
+    rotations = Rotation.concatenate([half_turns, Rotation.identity(), Rotation.random(500, random_state=1)])
+    poses = np.tile(np.eye(4), (len(rotations), 1, 1))
+    poses[:, :3, :3] = rotations.as_matrix()
+    quaternions, expected = quaternions_xyzw(poses), rotations.as_quat()
+    np.testing.assert_allclose(np.abs(np.sum(quaternions * expected, axis=1)), 1.0, atol=1e-14)
+    np.testing.assert_allclose(Rotation.from_quat(quaternions).as_matrix(), rotations.as_matrix(), atol=1e-14)
