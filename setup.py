@@ -16,6 +16,13 @@ EMBEDDED = [
     "eclipse-zenoh>=1.10,<1.11",
     "rosbags>=0.11,<0.12",
     "xxhash>=3.0",
+    "mcap>=1.2,<2",  # with these, all that `octn demo --record` needs is there
+]
+RECORD = [
+    # `octn demo --record`: one file that Foxglove opens. The writer is that of the format's makers; rosbags, whose
+    # own writer makes a folder of a file and a YAML, knows the schemas.
+    "mcap>=1.2,<2",
+    "rosbags>=0.11,<0.12",
 ]
 VENDOR = [
     # Files of Topcon, Heidelberg, Bioptigen, Optovue and Zeiss. It brings OpenCV along, so it is not for everyone.
@@ -24,6 +31,7 @@ VENDOR = [
 TEST = [
     *EMBEDDED,
     "hypothesis>=6.100",
+    "mcap-ros2-support>=0.5",  # reads our recordings as Foxglove does
     "mypy>=1.10",
     "pytest>=7.4",
     "pytest-timeout>=2.2",
@@ -50,7 +58,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/octn_ros"]),
         ("share/octn_ros", ["package.xml"]),
         ("share/octn_ros/config", glob("config/*.yaml")),  # noqa: PTH207 - setuptools takes relative names only
+        ("share/octn_ros/config/sros2", glob("config/sros2/*.xml")),  # noqa: PTH207
+        ("share/octn_ros/foxglove", glob("foxglove/*.json")),  # noqa: PTH207
         ("share/octn_ros/launch", glob("launch/*.launch.py")),  # noqa: PTH207
+        ("share/octn_ros/rviz", glob("rviz/*.rviz")),  # noqa: PTH207
     ],
     python_requires=">=3.10",
     install_requires=[
@@ -69,7 +80,7 @@ setup(
         "tifffile>=2023.7",  # TIFF stacks
         "torch>=2.4",  # Adam fused on the CPU
     ],
-    extras_require={"embedded": EMBEDDED, "test": TEST, "vendor": VENDOR},
+    extras_require={"embedded": EMBEDDED, "record": RECORD, "test": TEST, "vendor": VENDOR},
     zip_safe=False,  # the embedded runtime is loaded from files of the package
     entry_points={
         "console_scripts": [

@@ -37,6 +37,7 @@ class DemoCommand:
         json: print JSON instead of a table.
         closed_loop: ablate the phantom to a depth, pass by pass, instead of executing one plan.
         depth_um: that depth, None for 300 um.
+        record: a file for a recording of the graph (MCAP), None for none.
     """
 
     volume: Path | None = None
@@ -46,6 +47,7 @@ class DemoCommand:
     json: bool = False
     closed_loop: bool = False
     depth_um: float | None = None
+    record: Path | None = None
 
     def run(self) -> int:
         """Run the chain, write the report, print the figures; return 0.
@@ -69,12 +71,13 @@ class DemoCommand:
 
             source = self._source()
             seconds = {"load": time.perf_counter() - start}
-            result = run_demo(source, QUICK_FIT if self.quick else FIT, self.output, bar.show, seconds)
+            result = run_demo(source, QUICK_FIT if self.quick else FIT, self.output, bar.show, seconds, self.record)
         if self.json:
             terminal.print_json(result.to_plain())
         else:
             terminal.print_table("octn demo", result.rows())
             terminal.say(f"Report: {result.report}")
+            self._say_recording()
         return 0
 
     def _run_closed_loop(self) -> int:
@@ -90,13 +93,18 @@ class DemoCommand:
             depth_um = CLOSED_LOOP_DEPTH_UM if self.depth_um is None else self.depth_um
             request = AblationRequest(depth_um * 1e-6, centred_rectangle(config.geometry, largest_m=largest))
             fit = QUICK_FIT if self.quick else CLOSED_LOOP_FIT
-            result = closed_loop_demo(config, request, fit, self.output, bar.show)
+            result = closed_loop_demo(config, request, fit, self.output, bar.show, self.record)
         if self.json:
             terminal.print_json(result.to_plain())
         else:
             terminal.print_table("octn demo --closed-loop", result.rows())
             terminal.say(f"Report: {result.report}")
+            self._say_recording()
         return 0
+
+    def _say_recording(self) -> None:
+        if self.record is not None:
+            terminal.say(f"Recording: {self.record}")
 
     def _source(self) -> ScanSource:
         from octn_ros.demo.source import phantom_source, recorded_source
@@ -119,6 +127,9 @@ def add_parser(commands: Any) -> None:
         "--closed-loop", action="store_true", help="ablate the phantom to a depth: scan, fit, plan, fire, scan again"
     )
     parser.add_argument("--depth-um", type=float, metavar="UM", help="that depth; default 300")
+    parser.add_argument(
+        "--record", type=Path, metavar="FILE", help="record all topics into one MCAP file, which Foxglove opens"
+    )
     parser.add_argument("--quick", action="store_true", help="a small phantom and a short fit")
     common.add_json(parser)
     parser.set_defaults(read=_read)
@@ -133,4 +144,5 @@ def _read(arguments: argparse.Namespace) -> DemoCommand:
         arguments.json,
         arguments.closed_loop,
         arguments.depth_um,
+        arguments.record,
     )

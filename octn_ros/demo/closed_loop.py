@@ -57,6 +57,7 @@ def run_closed_loop(
     simulator_parameters: Mapping[str, Any],
     audit_path: Path,
     show: Show,
+    record: Path | None = None,
 ) -> ClosedLoopRecord:
     """Ablate as requested, one pass after the other, each planned on a new scan.
 
@@ -67,13 +68,14 @@ def run_closed_loop(
         simulator_parameters: errors of the platform and the like, over those of the source.
         audit_path: where the record of the executions goes.
         show: told what is going on. Called from several threads.
+        record: a file for a recording of the graph, None for none.
 
     Raises:
         DemoError: a node refused, failed or did not answer in time.
         OctnError: a node cannot start with its parameters.
     """
     parameters = _parameters(source, request, fit_parameters, simulator_parameters, audit_path)
-    with demo_graph(parameters) as client:
+    with demo_graph(parameters, record) as client:
         loop = _Loop(client, source, request, float(fit_parameters["fit.time_budget_s"]), show)
         return loop.run()
 

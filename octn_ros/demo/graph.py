@@ -6,6 +6,7 @@ import os
 import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import octn_ros.nodes  # noqa: F401 - makes rclpy importable where ROS 2 is missing
@@ -18,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from octn_ros import embedded
+from octn_ros.demo.recording import Recording
 from octn_ros.errors import OctnError
 from octn_ros.nodes.background import BackgroundSpin
 from octn_ros.nodes.client import GraphClient
@@ -42,7 +44,7 @@ class DemoError(OctnError):
 
 
 @contextmanager
-def demo_graph(parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[GraphClient]:
+def demo_graph(parameters: Mapping[str, Mapping[str, Any]], record: Path | None = None) -> Iterator[GraphClient]:
     """Run the nodes on an executor in a background thread; yield a client of their graph, at the end stop them all.
 
     The graph has a domain of its own, so that it does not meet another one by accident. Waits that run out of time
@@ -50,13 +52,15 @@ def demo_graph(parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[GraphCli
 
     Args:
         parameters: of each node, by the node's name.
+        record: a file for a recording of all that the nodes publish, MCAP; None for none.
 
     Raises:
         OctnError: a node cannot start with its parameters.
         DemoError: the graph did not answer in time.
+        RecordingError: the recording cannot be made.
     """
     nodes: list[Node] = []
-    spin = None
+    spin = recording = None
     with _private_domain() as domain_id:
         # Warnings and errors of the nodes stay visible beside the progress bar, their chatter does not. Ctrl-C is for
         # the thread that waits, which then takes the graph down in order.
@@ -72,6 +76,8 @@ def demo_graph(parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[GraphCli
                 nodes.append(make_node(parameter_overrides=overrides))
                 executor.add_node(nodes[-1])
             spin = BackgroundSpin(executor, "demo graph")
+            if record is not None:
+                recording = Recording(nodes, record)
             with GraphClient("demo") as client:
                 yield client
         except TimeoutError as error:
@@ -83,7 +89,11 @@ def demo_graph(parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[GraphCli
             executor.shutdown(timeout_sec=CLOSE_WAIT_S)
             for node in nodes:
                 node.destroy_node()
-            rclpy.try_shutdown()
+            try:
+                if recording is not None:
+                    recording.close()
+            finally:
+                rclpy.try_shutdown()
 
 
 @contextmanager

@@ -26,7 +26,12 @@ SURFACE_ASCANS = 4096  # of the 3D picture
 
 
 def run_demo(
-    source: ScanSource, fit_parameters: Mapping[str, Any], output: Path, show: Show, seconds: Mapping[str, float]
+    source: ScanSource,
+    fit_parameters: Mapping[str, Any],
+    output: Path,
+    show: Show,
+    seconds: Mapping[str, float],
+    record: Path | None = None,
 ) -> DemoResult:
     """Run the graph on a source, work out the figures, write the report.
 
@@ -36,26 +41,27 @@ def run_demo(
         output: directory for the report; it exists.
         show: told what is going on.
         seconds: durations of what was done before.
+        record: a file for a recording of the graph, None for none.
 
     Raises:
         OctnError: a node refused, failed or did not answer in time, a parameter is not allowed, or the report cannot be
             written.
     """
-    record = run_session(source, fit_parameters, show)
-    watch = Stopwatch({**seconds, **record.seconds})
+    session = run_session(source, fit_parameters, show, record)
+    watch = Stopwatch({**seconds, **session.seconds})
     with watch.part("evaluate"):
         show("evaluating", 0.0, "")
-        assessment = assess(source, record)
+        assessment = assess(source, session)
     with watch.part("draw"):
         show("drawing", 0.0, "")
-        drawn = _pictures(source, record, assessment)
+        drawn = _pictures(source, session, assessment)
     path = output / REPORT_NAME
-    result = _result(source, record, assessment, str(path), watch.seconds)
+    result = _result(source, session, assessment, str(path), watch.seconds)
     page = render_report(
         "octn demo: from a C-scan to an executed laser path",
         result.rows(),
         drawn,
-        _configuration(source, record, fit_parameters),
+        _configuration(source, session, fit_parameters),
         software_versions(),
     )
     try:

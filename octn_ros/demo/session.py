@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import octn_ros.nodes  # noqa: F401 - makes the message packages importable where ROS 2 is missing
@@ -81,13 +82,16 @@ class Stopwatch:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
-def run_session(source: ScanSource, fit_parameters: Mapping[str, Any], show: Show) -> SessionRecord:
+def run_session(
+    source: ScanSource, fit_parameters: Mapping[str, Any], show: Show, record: Path | None = None
+) -> SessionRecord:
     """Start the nodes, work them through one scan from end to end, and stop them.
 
     Args:
         source: what the simulator scans.
         fit_parameters: of the trainer, such as `fit.time_budget_s`.
         show: told what is going on: title, fraction of it that is done, remark. Called from several threads.
+        record: a file for a recording of the graph, None for none.
 
     Raises:
         DemoError: a node refused, failed or did not answer in time.
@@ -97,7 +101,7 @@ def run_session(source: ScanSource, fit_parameters: Mapping[str, Any], show: Sho
     with ExitStack() as stack:
         with watch.part("start"):
             show("starting the nodes", 0.0, "")
-            client = stack.enter_context(demo_graph(_parameters(source, fit_parameters)))
+            client = stack.enter_context(demo_graph(_parameters(source, fit_parameters), record))
             ears = Ears(client)
         with watch.part("scan"):
             show("scanning", 0.0, "")

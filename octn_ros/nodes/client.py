@@ -72,7 +72,7 @@ class Watch(Generic[Message]):
         Raises:
             TimeoutError: names the topic.
         """
-        _wait_graph(lambda: self._publishers() > 0, timeout_s, f"{self._topic}: no publisher")
+        wait_graph(lambda: self._publishers() > 0, timeout_s, f"{self._topic}: no publisher")
 
 
 class GraphClient:
@@ -136,7 +136,7 @@ class GraphClient:
         Raises:
             TimeoutError: says `what` was not there.
         """
-        _wait_graph(happened, timeout_s, f"{what}: not there")
+        wait_graph(happened, timeout_s, f"{what}: not there")
 
     def watch(self, kind: Any, topic: str, profile: QoSProfile = qos.LATCHED) -> Watch[Any]:
         """Collect what is heard on a topic from now on, and its latched message if it has one."""
@@ -146,7 +146,12 @@ class GraphClient:
         return watch
 
 
-def _wait_graph(happened: Callable[[], bool], timeout_s: float, otherwise: str) -> None:
+def wait_graph(happened: Callable[[], bool], timeout_s: float, otherwise: str) -> None:
+    """Return once something has happened in the graph, which is looked at again and again.
+
+    Raises:
+        TimeoutError: in the words of `otherwise`.
+    """
     deadline = time.monotonic() + timeout_s
     pause = threading.Event()
     while not happened():

@@ -59,12 +59,12 @@ def interfaces_of(node: Node) -> list[Interface]:
     """Return the topics and services of a node but those that every node of rclpy has, in order of role and name."""
     name = node.get_name()
     found = [
-        Interface(name, role, _relative(node, topic.topic_name), _type_name(topic.msg_type), topic.qos_profile)
+        Interface(name, role, _relative(node, topic.topic_name), type_name(topic.msg_type), topic.qos_profile)
         for role, topics in ((PUBLISHES, node.publishers), (SUBSCRIBES, node.subscriptions))
         for topic in topics
     ]
     found += [
-        Interface(name, OFFERS, _relative(node, service.service_name), _type_name(service.srv_type), None)
+        Interface(name, OFFERS, _relative(node, service.service_name), type_name(service.srv_type), None)
         for service in node.services
     ]
     order = (PUBLISHES, SUBSCRIBES, OFFERS)
@@ -91,6 +91,7 @@ def _relative(node: Node, name: str) -> str:
     return name.removeprefix(node.get_namespace().rstrip("/") + "/")
 
 
-def _type_name(kind: Any) -> str:
+def type_name(kind: Any) -> str:
+    """Return the name of a message or service class, `sensor_msgs/msg/Image`."""
     package, group, *_ = kind.__module__.split(".")
     return f"{package}/{group}/{kind.__name__}"
