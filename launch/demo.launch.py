@@ -14,11 +14,11 @@ from octn_ros.simulation import PhantomConfig
 from octn_ros.volume import VolumeGeometry, load_volume
 
 ARGUMENTS = {
-    "volume": "C-scan (NIfTI) that the scanner plays; empty = the default phantom",
+    "volume": "C-scan (any file that octn info reads) that the scanner plays; empty = the default phantom",
     "spacing_um": "voxel spacing of volume in micrometres, if the file does not state it: BSCAN AXIAL LATERAL",
     "calibration": "calibration file (YAML) instead of the package's",
     "device": "where fields are fitted and evaluated: auto, cpu, cuda, cuda:1, ...",
-    "preset": "preset of the fit: fast or paper",
+    "preset": "preset of the fit: fast, paper, ... (octn fit --help lists them)",
 }
 
 
@@ -28,6 +28,9 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("namespace", default_value="octn", description="namespace of all nodes"),
             DeclareLaunchArgument("params_file", default_value=defaults, description="parameters of all nodes (YAML)"),
+            DeclareLaunchArgument(
+                "rviz", default_value="false", choices=["true", "false"], description="show it in RViz"
+            ),
             *(
                 DeclareLaunchArgument(name, default_value="", description=description)
                 for name, description in ARGUMENTS.items()
@@ -38,7 +41,9 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _actions(context: LaunchContext) -> list[Node | IncludeLaunchDescription]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ("namespace", "params_file", *ARGUMENTS)}
+    given = {
+        name: LaunchConfiguration(name).perform(context) for name in ("namespace", "params_file", "rviz", *ARGUMENTS)
+    }
     spacing_um = [float(number) for number in given["spacing_um"].replace(",", " ").split()]
     scanned = _geometry(given["volume"], spacing_um)
     simulator = {"volume_file": given["volume"]}
@@ -51,7 +56,7 @@ def _actions(context: LaunchContext) -> list[Node | IncludeLaunchDescription]:
         "bscan_count": str(scanned.shape[0]),
         "spacing_um": " ".join(f"{spacing * 1e6:.9g}" for spacing in scanned.spacing_m),
     }
-    passed = {name: given[name] for name in ("namespace", "params_file", "calibration", "device", "preset")}
+    passed = {name: given[name] for name in ("namespace", "params_file", "rviz", "calibration", "device", "preset")}
     main = PathJoinSubstitution([FindPackageShare("octn_ros"), "launch", "octn.launch.py"])
     return [
         IncludeLaunchDescription(PythonLaunchDescriptionSource(main), launch_arguments={**passed, **stated}.items()),
