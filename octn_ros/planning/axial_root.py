@@ -42,6 +42,11 @@ class AxialLines:
         """Depth of the deepest voxel."""
         return float(self.field.geometry.shape[1] - 1)
 
+    def some(self, lines: Tensor) -> AxialLines:
+        """Return the lines with index [M] alone."""
+        lean = None if self.lean is None else self.lean[lines]
+        return AxialLines(self.field, self.lateral[lines], self.bscan[lines], self.disc, lean)
+
     def values(self, depth: Tensor, lines: Tensor) -> Tensor:
         """Return the intensity [M, K] at depths [M, K] of the lines with index [M]."""
         if self.disc is None or self.lean is None:

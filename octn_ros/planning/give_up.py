@@ -17,6 +17,7 @@ class GiveUp(enum.IntEnum):
     GLARE = 6
     OUTLIER = 7
     UNSTEADY = 8
+    UNCONFIRMED = 9
 
     @property
     def text(self) -> str:
@@ -34,4 +35,5 @@ _REASONS = {
     GiveUp.GLARE: "the air above it is as bright as in a reflection",
     GiveUp.OUTLIER: "it lies off the surface of its neighbours",
     GiveUp.UNSTEADY: "the level set around it is rougher than can be trusted",
+    GiveUp.UNCONFIRMED: "it lies beside places that were given up, and a little off its other neighbours",
 }

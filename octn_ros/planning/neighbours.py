@@ -69,6 +69,21 @@ def deviation_from_neighbours(
     return deviation, scatter
 
 
+def share_of_neighbours(points_m: NDArray[np.float64], chosen: NDArray[np.bool_], count: int) -> NDArray[np.float64]:
+    """Return the share of chosen ones [N] among the nearest `count` neighbours of each point, itself left out.
+
+    Args:
+        points_m: lateral places (x, y) [N, 2].
+        chosen: which points are counted [N].
+        count: neighbours of each point; all of them if there are fewer.
+    """
+    count = min(count, len(points_m) - 1)
+    if count < 1 or not chosen.any():
+        return np.zeros(len(points_m))
+    near = cKDTree(points_m).query(points_m, k=count + 1)[1][:, 1:]
+    return np.asarray(chosen[near].mean(axis=1))
+
+
 def _held_against(
     away: NDArray[np.float64],
     rise: NDArray[np.float64],

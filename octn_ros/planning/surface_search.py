@@ -12,7 +12,7 @@ from torch import Tensor
 
 from octn_ros.errors import PlanError
 from octn_ros.field import Field
-from octn_ros.planning.axial_root import AxialLines, aperture_disc, bracket_rises, refine_roots
+from octn_ros.planning.axial_root import AxialLines, Roots, aperture_disc, bracket_rises, refine_roots
 from octn_ros.planning.coarse_surface import CoarseSurface, coarse_surface
 from octn_ros.planning.give_up import GiveUp
 from octn_ros.planning.raster import RasterPattern
@@ -34,8 +34,9 @@ def find_surface(
 
     A coarse search over a lattice of A-scans (eq. 8), whose neighbours outvote speckle and artefacts; N_warmup depths
     around it at each point, which bracket the rise; Newton's method with exact gradients inside the bracket and
-    bisection where it fails; then, if configured, the smooth path of eq. 14. What cannot be trusted is given up with
-    its reason. Not differentiable; thread-safe; any device.
+    bisection where it fails; a second look at outliers, where their neighbours expect them; then, if configured, the
+    smooth path of eq. 14. What cannot be trusted is given up with its reason. Not differentiable; thread-safe; any
+    device.
 
     Args:
         field: the field, neural or interpolated.
@@ -63,27 +64,21 @@ def find_surface(
 
     lines = axial_lines(field, points, surface, config.aperture_m)
     start, target = (torch.from_numpy(a.astype(np.float32)).to(field.device) for a in (coarse, levels))
-    brackets = bracket_rises(lines, target, start, config.neighbourhood_m / axial_m, config.warmup_candidates)
-    roots = refine_roots(
-        lines,
-        target,
-        brackets,
-        steps=config.newton_steps,
-        min_slope=config.min_gradient,
-        max_step=config.max_step_m / axial_m,
-        tolerance=config.convergence * target,
-    )
-    missed = ~(roots.residual.abs() <= config.tolerance * target)
-    flat = roots.slope < config.min_gradient
-    why = torch.where(brackets.found, GiveUp.NOT_CONVERGED, torch.where(flat, GiveUp.FLAT, GiveUp.NO_CROSSING))
-    # Without a sign change, a point that is close to tau counts only if it lies on a rise.
-    reason = torch.where(missed | (~brackets.found & flat), why, GiveUp.KEPT).cpu().numpy().astype(np.int8)
+    roots, reason = _roots(lines, target, start, config.neighbourhood_m / axial_m, config)
     root_done = time.perf_counter()
 
     root = roots.depth.cpu().numpy().astype(np.float64)
-    confidence = judge(geometry, surface, points, root, coarse, reason, config.trust)
-    checked = time.perf_counter()
     residual = roots.residual.cpu().numpy().astype(np.float64)
+    unjudged = reason.copy()
+    confidence, expected = judge(geometry, surface, points, root, coarse, reason, config.trust)
+    checked = time.perf_counter()
+    outlier = reason == GiveUp.OUTLIER
+    second_s = 0.0
+    if _look_again(lines, target, expected, np.flatnonzero(outlier), root, residual, config):
+        second_s = time.perf_counter() - checked
+        reason = unjudged
+        confidence, _ = judge(geometry, surface, points, root, coarse, reason, config.trust, outlier)
+        checked = time.perf_counter()
     depth = root
     if config.refinement != "newton":
         depth, residual = _smooth(lines, target, start, root, reason, pattern, config)
@@ -104,11 +99,68 @@ def find_surface(
         method=f"{config.method} in {surface.depth.size} A-scans",
         seconds={
             "coarse": coarse_done - began,
-            "refine": root_done - coarse_done + ended - checked,
-            "check": checked - root_done,
+            "refine": root_done - coarse_done + second_s + ended - checked,
+            "check": checked - root_done - second_s,
         },
         root_depth_m=np.where(given_up, np.nan, root_m),
     )
+
+
+def _roots(
+    lines: AxialLines, tau: Tensor, start: Tensor, radius: float, config: SurfaceSearchConfig
+) -> tuple[Roots, NDArray[np.int8]]:
+    """Return the roots [N] within a radius of the starts [N], in axial voxels, and why there is none [N]."""
+    brackets = bracket_rises(lines, tau, start, radius, config.warmup_candidates)
+    roots = refine_roots(
+        lines,
+        tau,
+        brackets,
+        steps=config.newton_steps,
+        min_slope=config.min_gradient,
+        max_step=config.max_step_m / lines.field.geometry.spacing_m[1],
+        tolerance=config.convergence * tau,
+    )
+    missed = ~(roots.residual.abs() <= config.tolerance * tau)
+    flat = roots.slope < config.min_gradient
+    why = torch.where(brackets.found, GiveUp.NOT_CONVERGED, torch.where(flat, GiveUp.FLAT, GiveUp.NO_CROSSING))
+    # Without a sign change, a point that is close to tau counts only if it lies on a rise.
+    reason = torch.where(missed | (~brackets.found & flat), why, GiveUp.KEPT)
+    return roots, reason.cpu().numpy().astype(np.int8)
+
+
+def _look_again(
+    lines: AxialLines,
+    tau: Tensor,
+    expected: NDArray[np.float64],
+    again: NDArray[np.intp],
+    depth: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    config: SurfaceSearchConfig,
+) -> bool:
+    """Look for another root where its neighbours expect an outlier's: speckle may rise through tau more than once.
+
+    Args:
+        lines: every line.
+        tau: intensity of the surface on each [N].
+        expected: depth in axial voxels that the neighbours expect of each [N].
+        again: index of the outliers [M].
+        depth: roots [N]; where there is another one it takes the place of the first.
+        residual: f - tau there [N], likewise.
+        config: how.
+
+    Returns:
+        Whether another root was found anywhere.
+    """
+    if len(again) == 0:
+        return False
+    some = torch.from_numpy(again).to(tau.device)
+    start = torch.from_numpy(expected[again].astype(np.float32)).to(tau.device)
+    reach = config.trust.outlier_m / lines.field.geometry.spacing_m[1]
+    roots, reason = _roots(lines.some(some), tau[some], start, reach, config)
+    found = reason == GiveUp.KEPT
+    depth[again[found]] = roots.depth.cpu().numpy()[found]
+    residual[again[found]] = roots.residual.cpu().numpy()[found]
+    return bool(found.any())
 
 
 def axial_lines(

@@ -3,7 +3,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from octn_ros.planning.neighbours import allowed_deviation, deviation_from_neighbours
+from octn_ros.planning.neighbours import allowed_deviation, deviation_from_neighbours, share_of_neighbours
 
 PLACES = np.stack(np.meshgrid(np.arange(20) * 50e-6, np.arange(20) * 50e-6), axis=-1).reshape(-1, 2)
 X, Y = PLACES.T
@@ -82,3 +82,15 @@ def test_many_points_are_taken_in_parts():
     np.testing.assert_allclose(found[::1000], 40e-6, atol=0.1e-6)
     assert np.abs(np.delete(found, np.arange(0, len(depth), 1000))).max() < 0.1e-6
     assert peak < 60e6  # all at once they take 170 MB
+
+
+def test_the_share_of_chosen_neighbours_is_counted():
+    chosen = X < 225e-6  # the first five of twenty columns
+    share = share_of_neighbours(PLACES, chosen, 24)
+    column = np.rint(X / 50e-6).astype(int)
+    inner = (Y > 150e-6) & (Y < 800e-6)
+    assert (share[inner & (column == 1)] == 1.0).all()
+    assert (share[column > 10] == 0.0).all()
+    np.testing.assert_allclose(share[inner & (column == 5)], 10 / 24, atol=1 / 24)
+    assert not share_of_neighbours(PLACES[:1], chosen[:1], 24).any()
+    assert share_of_neighbours(PLACES[:3], np.array([True, False, False]), 24).tolist() == [0.0, 0.5, 0.5]

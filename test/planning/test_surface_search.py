@@ -6,10 +6,12 @@ import pytest
 import torch
 
 from octn_ros.errors import ConfigurationError, PlanError
+from octn_ros.field import InterpolatedField
 from octn_ros.metrics import surface_distance
 from octn_ros.planning import (
     CoarseSurfaceConfig,
     GiveUp,
+    RasterConfig,
     RasterPattern,
     SurfaceSearchConfig,
     find_surface,
@@ -17,6 +19,7 @@ from octn_ros.planning import (
 )
 from octn_ros.planning.axial_root import AxialLines, Brackets, bracket_rises, refine_roots
 from octn_ros.planning.step_levels import StepLevels
+from octn_ros.simulation import make_phantom, named_phantom
 
 TAU = 0.4  # the middle of air and tissue, so that the level set is the true surface
 RASTER = rectangle_raster((2e-4, -1e-4), (8e-4, 7e-4), 0.0)
@@ -223,3 +226,26 @@ def test_settings_are_checked():
         SurfaceSearchConfig(warmup_candidates=1)
     with pytest.raises(ConfigurationError, match="tolerance: expected at most"):
         SurfaceSearchConfig(tolerance=2.0)
+
+
+def test_outliers_of_speckle_get_a_second_look(monkeypatch):
+    phantom = make_phantom(named_phantom("wavy-13dB-single-look", shape=(64, 160, 128), seed=5, tissue_seed=5))
+    field = InterpolatedField(phantom.volume)
+    centre = np.array(field.geometry.extent_m[:2]) / 2
+    raster = rectangle_raster(centre - 0.75e-3, centre + 0.75e-3, 0.0, RasterConfig(point_spacing_along="lateral"))
+
+    def kept_and_distance():
+        search = find_surface(field, raster)
+        points = np.column_stack([raster.points_m, search.depth_m])
+        kept = ~search.given_up
+        assert np.abs(search.residual[kept]).max() <= 0.05 * search.tau[0]
+        return kept, phantom.surface.distance(np.where(kept[:, None], points, 0.0))
+
+    kept, distance = kept_and_distance()
+    monkeypatch.setattr("octn_ros.planning.surface_search._look_again", lambda *given: False)
+    once, _ = kept_and_distance()
+    regained = kept & ~once
+    assert kept[once].mean() > 0.998
+    assert 0.005 < regained.mean() < 0.05
+    assert np.abs(distance[regained] - np.median(distance[once & kept])).max() < 45e-6
+    assert np.std(distance[regained]) < 1.5 * np.std(distance[once & kept])
