@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from octn_ros.planning import Plan
 
-MOST_PIECES = 4000  # more are no clearer to look at, and each is two Python objects or more
+MOST_PIECES = 2000  # more are no clearer to look at, and each is two Python objects or more
 MOST_DOTS = 2000
 GIVEN_UP_COLOUR = (0.9, 0.1, 0.1, 1.0)
 _OFF_COLOUR = (0.55, 0.55, 0.6, 0.8)

@@ -148,25 +148,27 @@ class Planner(Node):
             angle_rad = math.atan2(start[1, 0], start[0, 0])
             return rectangle_region(start[:2, 3], goal[:2, 3], angle_rad), config
 
-        plan, _ = self._plan("plan_raster", requested)
-        if plan is not None:
+        def respond(plan: Plan) -> None:
             response.plan = conversions.to_path(plan.waypoints_ee, plan.stamp_ns, self._calibration.ee_frame)
+
+        self._plan("plan_raster", requested, respond)
         return response
 
     def _replan(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         def configured(received: ReceivedField, _: NDArray[np.float64] | None) -> tuple[Region, PlannerConfig]:
             return self._region_config.config().region(received.field.geometry), self._planner_config.config()
 
-        plan, response.message = self._plan("replan", configured)
-        response.success = plan is not None
+        response.success, response.message = self._plan("replan", configured)
         return response
 
-    def _plan(self, service: str, wanted: Wanted) -> tuple[Plan | None, str]:
-        """Plan and publish what a service was asked for; or report why not. Returns the plan and what happened."""
-        answered, reason = self._answers.to(service, lambda: self._plan_and_publish(wanted))
-        return answered or (None, reason)
+    def _plan(
+        self, service: str, wanted: Wanted, respond: Callable[[Plan], None] = lambda plan: None
+    ) -> tuple[bool, str]:
+        """Plan, publish and respond with what a service was asked for, or report why not; return what happened."""
+        text, reason = self._answers.to(service, lambda: self._plan_and_publish(wanted, respond))
+        return text is not None, text or reason
 
-    def _plan_and_publish(self, wanted: Wanted) -> tuple[Plan, str]:
+    def _plan_and_publish(self, wanted: Wanted, respond: Callable[[Plan], None]) -> str:
         received = self._fields.required()
         ee2base = self._scan_poses.ee2base(received.stamp_ns)
         region, config = wanted(received, ee2base)
@@ -186,8 +188,9 @@ class Planner(Node):
         self._publisher.publish(received, plan, ee2base)
         text = f"{len(plan.segment)} waypoints in {plan.seconds['total']:.2f} s, hit rate {plan.hit_rate:.1%}"
         self._status.report(status.OK, text, {**_figures(plan), **self._told(received)})
-        self._view.show(received, plan, ee2base)
-        return plan, text
+        respond(plan)
+        self._view.show(received, plan, ee2base)  # last: it takes the processor from whatever is still to be done
+        return text
 
 
 def _check_size(waypoints: int, largest: int) -> None:

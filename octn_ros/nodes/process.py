@@ -18,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 from octn_ros.errors import OctnError
 from octn_ros.nodes.worker import any_working
 
+NEW_OBJECTS = 100_000  # after which the collector looks for cycles
 THREADS = 4  # a slow service, a slow subscription, and two for whatever else is asked meanwhile
 
 
@@ -42,9 +43,11 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     node = None
     try:
         node = make_node()
-        # What was imported and made so far stays: millions of objects that the collector need not walk through, which
-        # takes longer than all else, whenever a path of thousands of poses is made.
+        # What was imported and made so far stays, so the collector need not walk through it again and again; and it
+        # looks less often than at every 700 new objects: a path of 10,000 poses is 40,000 of them, and takes four
+        # times as long to make where the collector counts them.
         gc.freeze()
+        gc.set_threshold(NEW_OBJECTS)
         executor = MultiThreadedExecutor(num_threads=THREADS)
         executor.add_node(node)
         executor.spin()
