@@ -25,8 +25,8 @@ from octn_ros.volume import Volume, VolumeGeometry
 
 INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
 DEVICE = torch.device("cpu" if INTERPRETED else "cuda")
-# The interpreter takes some 50 us for every operation of every block: a block and a bit of it will do.
-POINTS = 97 if INTERPRETED else 20_001
+# The interpreter takes some 50 us for every operation of every block: one block of most kernels will do.
+POINTS = 61 if INTERPRETED else 20_001
 
 
 class Case(NamedTuple):
@@ -233,8 +233,9 @@ def test_float64_is_left_to_the_reference_with_a_warning():
         assert field_of(model, "triton").backend == "torch"
 
 
-def test_a_fit_by_triton_is_that_by_torch():
+def test_a_fit_by_triton_is_that_by_torch(monkeypatch):
     """The same samples, two stages and steps; Adam lets rounding grow, so the fields agree as fits do."""
+    monkeypatch.setattr("octn_ros.training.held_in.EVALUATED_VOXELS", 256)
     array = torch.rand(12, 14, 16, generator=torch.Generator().manual_seed(0)).numpy()
     volume = Volume.from_array(array, (1e-5, 1e-5, 1e-5))
     results = {}
@@ -244,12 +245,13 @@ def test_a_fit_by_triton_is_that_by_torch():
                 HashGridConfig(levels=2, log2_table_size=8, base_resolution=4), NetworkConfig(1, 16)
             ),
             steps=8,
-            batch=200,
+            batch=120,
             backend=backend,
         )
         results[backend] = fit(volume, config, device=DEVICE)
     assert results["triton"].field.description.training["backend"] == "triton"
-    losses = [[report.loss for report in results[backend].history] for backend in results]
-    assert losses[0][-1] == pytest.approx(losses[1][-1], rel=1e-3)
+    points = points_inside_and_out()
+    values = [results[backend].field.evaluate(points) for backend in results]
+    assert (values[0] - values[1]).abs().mean() < 0.01 * values[1].std()
     assert results["triton"].psnr_db == pytest.approx(results["torch"].psnr_db, abs=0.02)
     assert [report.stage for report in results["triton"].history][-1] == "discrete"

@@ -15,7 +15,7 @@ from octn_ros.field.hash_grid import HashGrid
 # Points of a program, and how its kernel is compiled: with additions and multiplications apart, as the reference does
 # them, so that a point on a cell face falls into the same cell.
 _BLOCK = 128
-_OPTIONS: dict[str, Any] = {"num_warps": 4, "enable_fp_fusion": False}
+LAUNCH: dict[str, Any] = {"num_warps": 4, "enable_fp_fusion": False}
 
 
 class TritonEncoding:
@@ -27,13 +27,17 @@ class TritonEncoding:
 
     Args:
         grid: the hash grid; its table is shared.
+
+    Attributes:
+        grid: the same.
+        constants: what its kernels are compiled for.
     """
 
     def __init__(self, grid: HashGrid) -> None:
         self.grid = grid
-        self.levels = Levels.of(grid)
+        self._levels = Levels.of(grid)
         width = grid.config.features
-        self._shape = {
+        self.constants = {
             "width": width,
             "tile_width": triton.next_power_of_2(width),
             "smooth": grid.config.interpolation == "smoothstep",
@@ -52,7 +56,7 @@ class TritonEncoding:
         if len(points):
             with torch.cuda.device_of(points):
                 encode_kernel[self._programs(points, by_level=True)](
-                    points, self.grid.table, *self.levels, answer, len(points), **self._shape, **_OPTIONS
+                    points, self.grid.table, *self._levels, answer, len(points), **self.constants, **LAUNCH
                 )
         return answer.t()
 
@@ -62,8 +66,8 @@ class TritonEncoding:
         if len(points):
             with torch.cuda.device_of(points):
                 table_gradient_kernel[self._programs(points, by_level=True)](
-                    points, by_features, *self.levels, answer, len(points), *by_features.stride(),
-                    **self._shape, **_OPTIONS,
+                    points, by_features, *self._levels, answer, len(points), *by_features.stride(),
+                    **self.constants, **LAUNCH,
                 )  # fmt: skip
         return answer
 
@@ -73,8 +77,8 @@ class TritonEncoding:
         if len(points):
             with torch.cuda.device_of(points):
                 point_gradient_kernel[self._programs(points, by_level=False)](
-                    points, self.grid.table, by_features, *self.levels, answer, len(points), *by_features.stride(),
-                    len(self.grid.grid_levels), **self._shape, **_OPTIONS,
+                    points, self.grid.table, by_features, *self._levels, answer, len(points), *by_features.stride(),
+                    len(self.grid.grid_levels), **self.constants, **LAUNCH,
                 )  # fmt: skip
         return answer
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 # Neurons that fit on the chip beside the points: wider networks run layer by layer.
 MOST_NEURONS = 128
+LAUNCH: dict[str, Any] = {"num_warps": 4, "num_stages": 1, "enable_fp_fusion": True}
 
 
 class FusedNetwork(NamedTuple):
@@ -91,6 +92,9 @@ class TritonEvaluator(DifferentiatedEvaluator):
 
     Args:
         model: the fitted model; its table is shared, its network copied for the fused kernel.
+
+    Attributes:
+        constants: what the fused kernel is compiled for.
     """
 
     def __init__(self, model: NeuralModel) -> None:
@@ -100,7 +104,7 @@ class TritonEvaluator(DifferentiatedEvaluator):
         self._fused = FusedNetwork.of(model.network) if model.network.output.in_features <= MOST_NEURONS else None
         activation = model.network.hidden[1]
         neurons = self._fused.output.shape[0] if self._fused else 0
-        self._shape: dict[str, Any] = {
+        self.constants: dict[str, Any] = {
             "width": model.grid.config.features,
             "smooth": model.grid.config.interpolation == "smoothstep",
             "sharpness": activation.beta if isinstance(activation, nn.Softplus) else 0.0,
@@ -127,12 +131,12 @@ class TritonEvaluator(DifferentiatedEvaluator):
 
     def _run(self, network: FusedNetwork, axes: tuple[Tensor, ...], answer: Tensor, *, lattice: bool) -> Tensor:
         _, axials, laterals = answer.shape if lattice else (1, 1, 1)
-        programs = triton.cdiv(answer.numel(), self._shape["block"])
+        programs = triton.cdiv(answer.numel(), self.constants["block"])
         with torch.cuda.device_of(answer):
             fused_kernel[(programs,)](
                 *axes, self._grid.table, *self._levels, *network, answer,
                 answer.numel(), axials, laterals, self._grid.width, self._more_layers,
-                lattice=lattice, **self._shape, num_warps=4, num_stages=1, enable_fp_fusion=True,
+                lattice=lattice, **self.constants, **LAUNCH,
             )  # fmt: skip
         return answer
 
