@@ -119,7 +119,7 @@ class GraphClient:
             TimeoutError: names the service and what did not happen.
         """
         if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, name)
+            self._clients[name] = self.node.create_client(kind, name, qos_profile=qos.SERVICES)
         client = self._clients[name]
         if not client.wait_for_service(timeout_s):
             raise TimeoutError(f"service {name}: not there after {timeout_s:g} s; is its node running?")

@@ -90,8 +90,8 @@ class Planner(Node):
         device = torch_device(config.device)
         self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
         self._scan_poses = ScanPoses(self, self._calibration.base_frame, group)
-        self.create_service(GetPlan, "plan_raster", self._plan_raster, callback_group=group)
-        self.create_service(Trigger, "replan", self._replan, callback_group=group)
+        self.create_service(GetPlan, "plan_raster", self._plan_raster, qos_profile=qos.SERVICES, callback_group=group)
+        self.create_service(Trigger, "replan", self._replan, qos_profile=qos.SERVICES, callback_group=group)
         self.get_logger().info(
             f"ready: device {device}, calibration {self._calibration.deviation:.1e} from orthonormal, "
             f"{len(self._keep_out)} keep-out regions"

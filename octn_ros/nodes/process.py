@@ -40,7 +40,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         )
         rclpy.try_shutdown()
         return 2
-    node = None
+    node, code = None, 1  # of an error that comes out
     try:
         node = make_node()
         # What was imported and made so far stays, so the collector need not walk through it again and again; and it
@@ -51,36 +51,38 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         executor = MultiThreadedExecutor(num_threads=THREADS)
         executor.add_node(node)
         executor.spin()
+        code = 0
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        code = 0
     except (OctnError, InvalidParameterTypeException, InvalidParameterValueException) as error:
         if node is not None:
             raise  # not a matter of parameters: an error that a callback should have caught
         rclpy.logging.get_logger("octn_ros").fatal(str(error))
-        return 2
+        code = 2
     except Exception:
         # A signal between the executor's look at the context and its wait makes Jazzy raise RCLError, which rclpy
         # does not export. Without a context there is nothing left to run, so it is an ordered end.
         if rclpy.ok():
             raise
+        code = 0
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-        leave_workers_behind()
-    return 0
+        leave_workers_behind(code)
+    return code
 
 
-def leave_workers_behind() -> None:
-    """See to it that the process ends without waiting for the threads that still work, if there are any."""
+def leave_workers_behind(code: int = 0) -> None:
+    """See to it that the process ends, with an exit code, without waiting for the threads that still work, if any."""
     if any_working():
         # Before the interpreter waits for the threads that run kernels, which may be compiling for seconds; that is
         # where concurrent.futures registers this wait, and atexit comes after it.
-        getattr(threading, "_register_atexit", atexit.register)(_leave)
+        getattr(threading, "_register_atexit", atexit.register)(_leave, code)
 
 
-def _leave() -> None:
+def _leave(code: int) -> None:
     """Leave the interpreter as it is: taken down under a thread that still computes in C++, it would abort."""
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(0)
+    os._exit(code)

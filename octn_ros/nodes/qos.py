@@ -36,6 +36,14 @@ REQUESTS = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 
+# rclpy's own for services keeps ten requests, and DDS drops the rest of a hundred that are asked at once.
+SERVICES = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
 # What tf2 itself uses on /tf; on /tf_static it is LATCHED.
 TRANSFORMS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

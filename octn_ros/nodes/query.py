@@ -83,9 +83,13 @@ class Query(Node):
             self._status,
             points,
         )
-        self.create_service(GetPlan, "query_surface", self._query_surface, callback_group=services)
-        self.create_service(LoadMap, "query_slice", self._query_slice, callback_group=services)
-        self.create_service(Trigger, "query_band", self._query_band, callback_group=services)
+        self.create_service(
+            GetPlan, "query_surface", self._query_surface, qos_profile=qos.SERVICES, callback_group=services
+        )
+        self.create_service(
+            LoadMap, "query_slice", self._query_slice, qos_profile=qos.SERVICES, callback_group=services
+        )
+        self.create_service(Trigger, "query_band", self._query_band, qos_profile=qos.SERVICES, callback_group=services)
         self.add_post_set_parameters_callback(self._on_parameters)
         self.get_logger().info(f"ready: device {device}")
         run_aside(lambda: warm_up_queries(device=device), "warm-up")

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.errors import OctnError
-from octn_ros.nodes import process, status
+from octn_ros.nodes import process, qos, status
 from octn_ros.nodes.diagnostics import NodeDiagnostics
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.nodes.plan_inbox import PlanInbox
@@ -78,12 +78,14 @@ class Simulator(Node):
         self._reports = StationReports(self, self._station, self._lock, self._calibration.base_frame, self._now_ns)
         self._plans = PlanInbox(self, self._on_plan, self._on_withdrawal, self._on_bad_plan)
         self._diagnostics = NodeDiagnostics(self, self._describe)
-        self.create_service(Trigger, "scan", self._scan)
+        self.create_service(Trigger, "scan", self._scan, qos_profile=qos.SERVICES)
         # Commands have a group of their own, so that nothing slow holds an abort up.
         commands, motion = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        self.create_service(Trigger, "execute", self._execute, callback_group=commands)
-        self.create_service(Trigger, "abort", self._abort, callback_group=commands)
-        self.create_service(SetBool, "enable_laser", self._enable_laser, callback_group=commands)
+        self.create_service(Trigger, "execute", self._execute, qos_profile=qos.SERVICES, callback_group=commands)
+        self.create_service(Trigger, "abort", self._abort, qos_profile=qos.SERVICES, callback_group=commands)
+        self.create_service(
+            SetBool, "enable_laser", self._enable_laser, qos_profile=qos.SERVICES, callback_group=commands
+        )
         self.create_timer(1.0 / config.ee_pose_rate_hz, self._show_motion, callback_group=motion)
         # The control period costs a fifth of a core, so its timer runs while the arm moves only.
         self._step_timer = self.create_timer(arm.control_period_s, self._step, callback_group=motion)
@@ -141,7 +143,7 @@ class Simulator(Node):
         if self._looking or self._player.unsent:
             raise OctnError(f"a scan is running, {self._player.unsent} B-scans are still to come")
         if self._station.arm.state in ("executing", "returning"):
-            raise OctnError("the arm is executing a plan; wait, or abort it")
+            raise OctnError(f"the arm is {self._station.arm.state}; wait, or abort it")
         if not self._player.heard:
             raise OctnError("nobody listens to bscan and bscan_pose; start the trainer")
 

@@ -64,10 +64,18 @@ class Trainer(Node):
         self._restore()
         self.create_subscription(PoseStamped, "ee_pose", self._on_ee_pose, qos.STREAM)
         self._stream = BScanStream(self, self._config.config, self._poses, self._accept, self._on_bad_cscan)
-        self.create_service(LoadMap, "load_cscan", self._load_cscan, callback_group=MutuallyExclusiveCallbackGroup())
-        self.create_service(Trigger, "refit", self._refit)
+        self.create_service(
+            LoadMap,
+            "load_cscan",
+            self._load_cscan,
+            qos_profile=qos.SERVICES,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+        )
+        self.create_service(Trigger, "refit", self._refit, qos_profile=qos.SERVICES)
         # In a group of its own: it waits for nothing.
-        self.create_service(Trigger, "cancel", self._cancel, callback_group=MutuallyExclusiveCallbackGroup())
+        self.create_service(
+            Trigger, "cancel", self._cancel, qos_profile=qos.SERVICES, callback_group=MutuallyExclusiveCallbackGroup()
+        )
         self.get_logger().info(f"ready: preset {config.preset}, device {self._device}")
         fit_config = self._fit_config.config()
         run_aside(lambda: warm_up(fit_config, self._device), "warm-up")

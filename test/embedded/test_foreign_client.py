@@ -36,7 +36,7 @@ PUBLISHED = {
         "SS",
         "std_srvs::srv::dds_::Trigger_",
         "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
-        "::,10:,:,:,,",
+        "::,1000:,:,:,,",
     ),
     "/octn/planner/list_parameters": (
         "SS",
