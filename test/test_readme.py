@@ -1,0 +1,115 @@
+"""README and pages: every shell block is run here, or says who runs it; every link and every option exists.
+
+A block is run by `test: NAME`, by `ros` (ROS 2's own machinery: CI with ROS), by `terminals` (one line a terminal, run
+as processes by test/integration), or by `install` (from a bare checkout, the CI step).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from octn_ros.cli import main
+
+REPOSITORY = Path(__file__).parents[1]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+MARKED = [
+    REPOSITORY / name
+    for name in ("README.md", "docs/connecting.md", "docs/troubleshooting.md", "docs/security.md")
+]  # fmt: skip
+RUN_BY = re.compile(r"test: \w+|ros|terminals|install")
+SMALL_SCAN = "make_phantom(PhantomConfig(shape=(16, 48, 40), wave_amplitude_m=20e-6))"
+
+
+def blocks(page: Path) -> Iterator[tuple[str, str]]:
+    """(what its mark says, text) of each shell block."""
+    text = page.read_text(encoding="utf-8")
+    yield from re.findall(r"(?:<!-- ([^>]*) -->\n)?```sh\n(.*?)```", text, re.DOTALL)
+
+
+def commands(block: str) -> list[str]:
+    """The commands of a block, lines that belong together joined, remarks left out."""
+    found: list[str] = []
+    for line in block.splitlines():
+        quotes = found and (found[-1].count('"') - found[-1].count('\\"')) % 2
+        if quotes or (found and found[-1].endswith("\\")):
+            found[-1] = found[-1].removesuffix("\\") + "\n" * bool(quotes) + line
+        elif line.strip():
+            found.append(line)
+    return found
+
+
+@pytest.mark.parametrize("page", MARKED, ids=lambda page: page.stem)
+def test_every_block_says_who_runs_it(page: Path) -> None:
+    for mark, block in blocks(page):
+        assert RUN_BY.fullmatch(mark), f"{page.name}: a shell block without a mark:\n{block}"
+    # An indented block would slip past; README and these pages have none.
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert not re.findall(r"\n\n {4}(?:octn|ros2|make|pip|python|\.venv) .*", text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
+        if not target.startswith(("http:", "https:", "mailto:")):
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.timeout(300)
+def test_the_step_by_step_block_runs_as_it_stands(tmp_path: Path) -> None:
+    """All of it, in the shell, in a folder of its own; only the phantom is a small one and the fit a short one."""
+    (block,) = [text for mark, text in blocks(REPOSITORY / "README.md") if mark == "test: steps"]
+    small = block.replace("make_phantom()", SMALL_SCAN).replace("import make", "import PhantomConfig, make")
+    assert small != block
+    lines = [line for line in commands(small) if "activate" not in line and "--device cuda" not in line]
+    assert len(lines) >= 8
+    fit = [number for number, line in enumerate(lines) if line.startswith("octn fit")]
+    assert fit
+    for number in fit:
+        lines[number] = lines[number].partition("#")[0] + " --time-budget-s 3"
+    folder = Path(sys.executable).parent
+    environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+    script = "\n".join([f"ln -s {shlex.quote(str(REPOSITORY / 'config'))} config", *lines])
+    ended = subprocess.run(
+        ["bash", "-euxc", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    for name in ("field.safetensors", "cut.png", "surface.ply", "plan.json"):
+        assert (tmp_path / name).stat().st_size > 100, name
+
+
+def test_the_commands_of_octn_in_all_blocks_have_the_options_they_are_shown_with(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    helped: dict[str, str] = {}
+    seen = 0
+    for page in PAGES:
+        for line in re.findall(r"^\s*(?:\.venv/bin/)?octn ([^\n#]*)", page.read_text(encoding="utf-8"), re.MULTILINE):
+            words = line.split()
+            if not words or not re.fullmatch(r"[a-z]+", words[0]) or words[0] == "run":
+                continue
+            name = " ".join(words[:2]) if words[0] == "bench" else words[0]
+            if name not in helped:
+                with contextlib.suppress(SystemExit):
+                    main([*name.split(), "--help"])
+                helped[name] = capsys.readouterr().out
+            for option in re.findall(r"(?<!\S)--[a-z][\w-]*", line):
+                assert option in helped[name], f"{page.name}: octn {line}"
+                seen += 1
+    assert seen > 10
+
+
+def test_readme_names_the_default_region_of_a_plan() -> None:
+    from octn_ros.planning import RegionConfig
+
+    width, length = (side * 1e3 for side in RegionConfig().size_m)
+    words = " ".join((REPOSITORY / "README.md").read_text(encoding="utf-8").split())
+    assert f"{width:g} x {length:g} mm about the middle of the scan" in words
