@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,3 +69,19 @@ def test_a_scanner_and_an_arm_of_sixty_lines_are_enough(spin: Callable[..., Any]
     assert done.success, done.message
     expected = conversions.poses_to_matrices(planned.poses)[:, :3, 3]
     np.testing.assert_allclose(np.array(moving.reached), expected, atol=1e-9)
+
+
+def test_the_examples_run_as_programs_and_end_in_order(client: Any) -> None:
+    programs = [subprocess.Popen([sys.executable, str(EXAMPLES / f"minimal_{name}.py")]) for name in ("scanner", "arm")]
+    try:
+        scanned = client.call(Trigger, "scan", Trigger.Request(), WAIT_S)
+        assert (scanned.success, scanned.message) == (True, "scanning 32 B-scans")
+        assert client.call(Trigger, "execute", Trigger.Request(), WAIT_S).message == "there is no plan"
+        for program in programs:
+            program.send_signal(signal.SIGINT)
+        assert [program.wait(WAIT_S) for program in programs] == [0, 0]
+    finally:
+        for program in programs:
+            if program.poll() is None:
+                program.kill()
+                program.wait()

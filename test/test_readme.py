@@ -1,7 +1,8 @@
 """README and pages: every shell block is run here, or says who runs it; every link and every option exists.
 
-A block is run by `test: NAME`, by `ros` (ROS 2's own machinery: CI with ROS), by `terminals` (one line a terminal, run
-as processes by test/integration), or by `install` (from a bare checkout, the CI step).
+Marks: `test: NAME` is run by a test as it stands; `ros` by whoever has ROS 2 (the same calls: integration/
+test_ros2_cli.py); of `terminals` each line is a process that a test starts (integration/test_node_processes.py,
+test_connecting.py, demo/test_demo.py); `install` is the CI step itself, from a bare checkout.
 """
 
 from __future__ import annotations
