@@ -128,6 +128,8 @@ def test_the_clock_of_a_curve_leaves_looking_out():
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler")
+# torch.compile's own code uses what torch has deprecated.
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_compiled_torch_learns_what_plain_torch_does():
     volume = yardstick((16, 40, 32), seed=100).phantom.volume
     settings = TINY.fit_config("mean")
@@ -165,6 +167,7 @@ def test_the_whole_of_it_on_a_tiny_configuration():
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_quick_run_has_every_figure():
     figures = run(BenchmarkRequest(device="cpu", quick=True)).figures
     assert set(figures) >= {*ISSUE_KEYS, "quality_ratio_compile", "train_ratio_compile"}
