@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from octn_ros.errors import VolumeError
 from octn_ros.evaluation.benchmark import BenchmarkRequest
-from octn_ros.simulation import make_phantom, named_phantom
-from octn_ros.volume import Volume, load_volume, scan_files
+from octn_ros.evaluation.datasets import DataSet, SetScan, set_scan
+from octn_ros.simulation import PhantomConfig, make_phantom, named_phantom
+from octn_ros.volume import Volume, scan_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,11 +20,18 @@ class BenchScan:
         name: in the table.
         volume: as measured.
         truth: without noise, None if nobody knows.
+        phantom: what it was made from, None for a measured scan.
     """
 
     name: str
     volume: Volume
     truth: Volume | None = None
+    phantom: PhantomConfig | None = None
+
+    @property
+    def file_name(self) -> str:
+        """The name as a part of file names."""
+        return "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in self.name)
 
 
 @dataclass(frozen=True)
@@ -34,10 +41,12 @@ class ScanSource:
     Attributes:
         name: in the table.
         load: gives the scan.
+        data_set: the published set it belongs to, None for any other.
     """
 
     name: str
     load: Callable[[], BenchScan]
+    data_set: DataSet | None = None
 
 
 def scan_sources(
@@ -56,20 +65,28 @@ def scan_sources(
     """
     if request.data is None:
         return [_phantom(name, shape, seed) for name in phantoms]
-    paths = scan_files(request.data)
-    if not paths:
+    scans = [scan for path in scan_files(request.data) if (scan := set_scan(path, request.data)) is not None]
+    if not scans:
         raise VolumeError(f"{request.data}: expected a folder with C-scans in a format of docs/volumes.md, found none")
-    return [_file(path, request.data, request.spacing_um) for path in paths]
+    return [_file(scan, request.spacing_um) for scan in scans]
+
+
+def stated_spacings(sources: Sequence[ScanSource], request: BenchmarkRequest) -> Iterator[str]:
+    """Say for a result where the spacing of each published set among the scans comes from, a sentence each."""
+    for data_set in dict.fromkeys(source.data_set for source in sources):
+        if data_set is not None and request.spacing_um is not None:
+            yield f"{data_set.name}: the spacing that was given, {request.spacing_um} um (bscan, axial, lateral)."
+        elif data_set is not None:
+            yield f"{data_set.name}: the spacing is {data_set.spacing}."
 
 
 def _phantom(name: str, shape: tuple[int, int, int], seed: int) -> ScanSource:
     def load() -> BenchScan:
         phantom = make_phantom(named_phantom(name, seed=seed, tissue_seed=seed, shape=shape))
-        return BenchScan(name, phantom.volume, phantom.truth)
+        return BenchScan(name, phantom.volume, phantom.truth, phantom.config)
 
     return ScanSource(name, load)
 
 
-def _file(path: Path, folder: Path, spacing_um: tuple[float, float, float] | None) -> ScanSource:
-    name = str(path.relative_to(folder))
-    return ScanSource(name, lambda: BenchScan(name, load_volume(path, spacing_um)))
+def _file(scan: SetScan, spacing_um: tuple[float, float, float] | None) -> ScanSource:
+    return ScanSource(scan.name, lambda: BenchScan(scan.name, scan.load(spacing_um)), scan.data_set)
