@@ -40,6 +40,7 @@ from octn_ros.planning import (
     plan_region,
     raster_pattern,
     rectangle_region,
+    warm_up_steps,
 )
 from octn_ros.resources import config_path
 from octn_ros.settings import check_settings, setting
@@ -97,6 +98,7 @@ class Planner(Node):
             f"{len(self._keep_out)} keep-out regions"
         )
         run_aside(lambda: warm_up_queries(device=device), "warm-up")
+        run_aside(warm_up_steps, "warm-up of the search")
 
     def destroy_node(self) -> None:
         """End the thread that draws, then the node."""

@@ -14,6 +14,7 @@ from octn_ros.evaluation.report import result_to_plain
 from octn_ros.evaluation.speed import headline, run
 from octn_ros.evaluation.speed_config import SpeedBenchConfig
 from octn_ros.evaluation.speed_curves import Curve, CurvePoint, all_bscans, curve, volume_psnr, yardstick
+from octn_ros.evaluation.speed_queries import AXIS_BY_AXIS
 from octn_ros.evaluation.speed_samples import between_rows
 from octn_ros.evaluation.speed_sizes import SizeCost
 from octn_ros.evaluation.speed_trainers import CompiledTorchTrainer, make_stepper, samples_per_s, start_model
@@ -60,15 +61,16 @@ def test_ratios_by_hand_and_lower_bounds_told():
         made_curve("eager", "mean", math.nan),
     ]
     cost = SizeCost(0.7, 0, 31.0, 47.0, 2.0, 0.05, 1.5, "compiled")
-    place = {"phantom": "256x512x512", "field": "fast"}
+    place = {"phantom": "256x512x512", "field": "many levels"}
     rows = [
         {"part": "rate", "way": "eager", "msamples_s": 0.5, "fused_over_this": 24.0, **place},
         {"part": "rate", "way": "compile", "msamples_s": 2.0, "fused_over_this": 6.0, **place},
         {"part": "rate", "way": "fused", "msamples_s": 12.0, "fused_over_this": 1.0, **place},
-        {"part": "rate", "way": "eager", "msamples_s": 6.0, "fused_over_this": 2.0, "phantom": "128x160x256",
-         "field": "fast"},
+        {"part": "rate", "way": "eager", "msamples_s": 6.0, "fused_over_this": 2.0, **place, "phantom": "128x160x256"},
+        {"part": "rate", "way": "eager", "msamples_s": 1.0, "fused_over_this": 8.0, **place, "field": "fast"},
         {"part": "lattice", "way": "fused", "mpoints_s": 20.0, "fused_over_this": 1.0},
         {"part": "lattice", "way": "eager", "mpoints_s": 0.5, "fused_over_this": 40.0},
+        {"part": "lattice", "way": AXIS_BY_AXIS, "mpoints_s": 5.0, "fused_over_this": 4.0},
         {"part": "band", "band_ratio_lattice": 9.0, "band_ratio_numpy": 0.7},
         {"part": "band", "band_ratio_lattice": 7.0, "band_ratio_numpy": 0.9},
         {"part": "raster", "way": "newton", "raster_ratio_knn": 6.0},
@@ -80,6 +82,8 @@ def test_ratios_by_hand_and_lower_bounds_told():
     assert figures["quality_ratio_eager_same_preset"] == 4.0
     assert figures["quality_ratio_compile_from_mean"] == 4.0
     assert (figures["train_ratio_eager"], figures["train_ratio_compile"]) == (24.0, 6.0)
+    assert (figures["train_ratio_eager_fast"], figures["train_msamples_s"]) == (8.0, 12.0)
+    assert (figures["lattice_ratio_eager"], figures["lattice_ratio_eager_axis_by_axis"]) == (40.0, 4.0)
     assert (figures["band_ratio_lattice"], figures["band_ratio_numpy"]) == (7.0, 0.7)
     assert (figures["seconds_to_30db"], figures["peak_gb"]) == (0.7, 1.5)
     worse = dataclasses.replace(cost, noisy_db=29.9)
