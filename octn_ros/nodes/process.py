@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -66,11 +67,19 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             raise
         code = 0
     finally:
+        _ignore_signals()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        _ignore_signals()  # rclpy has put back the handlers from before
         leave_workers_behind(code)
     return code
+
+
+def _ignore_signals() -> None:
+    """Let no second signal break an ordered end: launched without a terminal, a node gets SIGINT twice."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def leave_workers_behind(code: int = 0) -> None:

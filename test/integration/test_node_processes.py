@@ -150,6 +150,17 @@ def test_a_terminated_node_ends_in_order(start: Callable[..., Any], client: Any)
     end(simulator, signal.SIGTERM)
 
 
+def test_more_interrupts_do_not_break_an_ordered_end(start: Callable[..., Any], client: Any) -> None:
+    simulator = start("simulator", *parameters(*PARAMETERS["simulator"]))
+    client.watch(DiagnosticArray, "execution_status").wait(START_TIMEOUT_S)
+    deadline = time.monotonic() + EXIT_TIMEOUT_S
+    while simulator.poll() is None:
+        assert time.monotonic() < deadline
+        simulator.send_signal(signal.SIGINT)
+        time.sleep(0.01)
+    assert simulator.returncode == 0
+
+
 @pytest.mark.parametrize(
     ("node", "assignment", "reason"),
     [
