@@ -23,6 +23,7 @@ from octn_ros.nodes.cscan_files import CScanFiles
 from octn_ros.nodes.diagnostics import NodeDiagnostics
 from octn_ros.nodes.field_fitter import FITTED, FieldFitter
 from octn_ros.nodes.field_store import FieldStore, store_path
+from octn_ros.nodes.freed_memory import give_back_freed_memory
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
 from octn_ros.nodes.present_scan import NewScan, PresentScan
@@ -95,6 +96,7 @@ class Trainer(Node):
         """Make a C-scan the newest, publish what is known of it and fit it, now or after the present fit."""
         config = self._config.config()
         with self._accepting:
+            give_back_freed_memory()  # of images or a file's reader, before as much is needed again
             # All that can fail comes first, so that a failure leaves the last scan in place.
             scan = NewScan.of(volume)
             with self._ordering:
