@@ -115,14 +115,16 @@ def alien_image(bscan: BScan, **changes: Any) -> Image:
     return image
 
 
-def play(bench: Any, played: list[BScan], index: int, image: Image) -> None:
-    """Send B-scans, one of them with another image."""
+def play(bench: Any, played: list[BScan], index: int, image: Image, number: int, ahead_ns: int = 0) -> None:
+    """Send B-scans of a scan of that number, as many seconds later, one of them with another image."""
     for bscan in played:
-        own = conversions.to_image(bscan.image, bscan.stamp_ns, "oct_bscan_frame")
-        bench.bscan.publish(image if bscan.index == index else own)
-        bench.bscan_pose.publish(
-            conversions.matrix_to_pose_stamped(bscan.image2oct, bscan.stamp_ns, "oct_optical_frame")
-        )
+        stamp_ns = bscan.stamp_ns + number * 10**9
+        own = conversions.to_image(bscan.image, stamp_ns, "oct_bscan_frame")
+        if bscan.index == index:
+            image.header.stamp = conversions.header(stamp_ns + ahead_ns, "").stamp
+            own = image
+        bench.bscan.publish(own)
+        bench.bscan_pose.publish(conversions.matrix_to_pose_stamped(bscan.image2oct, stamp_ns, "oct_optical_frame"))
 
 
 def test_alien_bscans_are_reported_with_their_index(trainer_bench: Callable[..., Any], volume: Volume) -> None:
@@ -136,20 +138,21 @@ def test_alien_bscans_are_reported_with_their_index(trainer_bench: Callable[...,
     small = conversions.to_image(third.image[:-1], third.stamp_ns, "oct_bscan_frame")
     stepped = alien_image(third, step=20, data=conversions.to_bytes_field(padded.tobytes()))
     bench = trainer_bench(**OF_SCANNER)
-    for image, reason in (
+    aliens = (
         (camera, "B-scan 3: expected an image sent as B-scan 0"),
         (wide, "B-scan 3: expected (24, 16) of uint8 as in B-scan 0, got (24, 16) of uint16"),
         (small, "B-scan 3: expected (24, 16) of uint8 as in B-scan 0, got (23, 16)"),
         (stepped, "rows of 20 bytes"),
         (alien_image(third, step=15), "step 15"),
         (alien_image(third, encoding="rgb8"), "'rgb8'"),
-    ):
-        play(bench, played, 3, image)
+    )
+    for number, (image, reason) in enumerate(aliens):
+        play(bench, played, 3, image, number)
         bench.until("C-scan dropped", reason)
-    play(bench, played, 3, conversions.to_image(third.image, third.stamp_ns + 1, "oct_bscan_frame"))  # no pose of it
+    play(bench, played, 3, alien_image(third), len(aliens), ahead_ns=1)  # no pose of it
     bench.until("C-scan dropped", "missing: 3")
     assert not bench.field.messages
-    play(bench, played, -1, camera)
+    play(bench, played, -1, camera, len(aliens) + 1)
     field_of(bench)
 
 
