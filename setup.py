@@ -10,6 +10,11 @@ HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs a link t
 # package.xml holds the one version number that ROS tools read; octn_ros.__version__ is tested against it.
 VERSION = ElementTree.parse(HERE / "package.xml").findtext("version")
 
+BENCH = [
+    # `octn bench NAME --data DIR`: the scans of a folder side by side, on this machine or on a cluster. A scheduler
+    # that survives workers that die is nothing to write oneself.
+    "distributed>=2024.4",
+]
 EMBEDDED = [
     # The transport and the message definitions of the runtime that stands in for rclpy where ROS 2 is missing.
     # The extensions of eclipse-zenoh that latched topics need are marked unstable, hence the narrow range.
@@ -29,6 +34,7 @@ VENDOR = [
     "oct-converter>=0.7,<0.8",
 ]
 TEST = [
+    *BENCH,
     *EMBEDDED,
     "hypothesis>=6.100",
     "mcap-ros2-support>=0.5",  # reads our recordings as Foxglove does
@@ -80,7 +86,7 @@ setup(
         "tifffile>=2023.7",  # TIFF stacks
         "torch>=2.4",  # Adam fused on the CPU
     ],
-    extras_require={"embedded": EMBEDDED, "record": RECORD, "test": TEST, "vendor": VENDOR},
+    extras_require={"bench": BENCH, "embedded": EMBEDDED, "record": RECORD, "test": TEST, "vendor": VENDOR},
     zip_safe=False,  # the embedded runtime is loaded from files of the package
     entry_points={
         "console_scripts": [

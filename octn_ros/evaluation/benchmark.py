@@ -27,6 +27,12 @@ class BenchmarkRequest:
         device: where fields are fitted and evaluated: auto, cpu, cuda, ...
         quick: a reduced run that ends within a minute on two cores.
         progress: told how far it is.
+        regions: file of regions of interest in the middle B-scan, for the benchmark that looks into it; None to have
+            them found.
+        output: folder of the report, which exists; what is done is kept there, and a run that was broken off goes on
+            from it. None to keep nothing.
+        workers: processes of this machine that measure scans side by side, 0 for as many as it bears.
+        scheduler: address of a Dask scheduler whose workers measure scans instead.
     """
 
     data: Path | None = None
@@ -34,6 +40,10 @@ class BenchmarkRequest:
     device: str = "auto"
     quick: bool = False
     progress: Progress = silent
+    regions: Path | None = None
+    output: Path | None = None
+    workers: int = 0
+    scheduler: str | None = None
 
 
 @dataclass(frozen=True)

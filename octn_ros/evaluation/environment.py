@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import subprocess
 from datetime import datetime, timezone
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -56,6 +58,17 @@ def git_commit(folder: Path) -> str | None:
     except (OSError, subprocess.TimeoutExpired):  # no git, or one that hangs: the report then says so
         return None
     return answer.stdout.strip() or None
+
+
+@lru_cache(maxsize=1)
+def code_hash() -> str:
+    """Return a hash of this package's source files, which tells what a commit cannot: changes that are in none."""
+    package = Path(octn_ros.__file__).parent
+    content = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        content.update(f"{path.relative_to(package)}\0".encode())
+        content.update(path.read_bytes())
+    return content.hexdigest()
 
 
 def _cpu() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from octn_ros.errors import VolumeError
 from octn_ros.evaluation.benchmark import BenchmarkRequest
@@ -31,7 +32,7 @@ class BenchScan:
     @property
     def file_name(self) -> str:
         """The name as a part of file names."""
-        return "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in self.name)
+        return _as_file_name(self.name)
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,18 @@ class ScanSource:
         name: in the table.
         load: gives the scan.
         data_set: the published set it belongs to, None for any other.
+        fingerprint: tells a file from another that takes its place; empty for a phantom, which its settings tell.
     """
 
     name: str
     load: Callable[[], BenchScan]
     data_set: DataSet | None = None
+    fingerprint: str = ""
+
+    @property
+    def file_name(self) -> str:
+        """The name as a part of file names."""
+        return _as_file_name(self.name)
 
 
 def scan_sources(
@@ -89,4 +97,17 @@ def _phantom(name: str, shape: tuple[int, int, int], seed: int) -> ScanSource:
 
 
 def _file(scan: SetScan, spacing_um: tuple[float, float, float] | None) -> ScanSource:
-    return ScanSource(scan.name, lambda: BenchScan(scan.name, scan.load(spacing_um)), scan.data_set)
+    fingerprint = f"{spacing_um} {_state(scan.path)}"
+    return ScanSource(scan.name, lambda: BenchScan(scan.name, scan.load(spacing_um)), scan.data_set, fingerprint)
+
+
+def _state(path: Path) -> list[tuple[str, int, int]]:
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    try:
+        return [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+    except OSError:  # whoever loads it hears what is wrong
+        return []
+
+
+def _as_file_name(name: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in name)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from octn_ros.errors import OctnError
-from octn_ros.evaluation.benchmark import BenchmarkRequest, BenchmarkResult, Column, filled_columns
+from octn_ros.evaluation.benchmark import BenchmarkRequest, BenchmarkResult, Column, Row, filled_columns
+from octn_ros.evaluation.engine import run_volumes
 from octn_ros.evaluation.grid_comparison import render_bscans
 from octn_ros.evaluation.interpolators import PLAIN, choose_smoothing, smoothed
+from octn_ros.evaluation.kept_rows import ScanResult
 from octn_ros.evaluation.scans import BenchScan, scan_sources
 from octn_ros.evaluation.sparse_config import QUICK, SparseBenchConfig
 from octn_ros.evaluation.sparse_judgement import SparseJudge
@@ -77,18 +79,10 @@ def run(request: BenchmarkRequest, config: SparseBenchConfig | None = None) -> B
     began = time.perf_counter()
     fit_config = _fit_config(config)
     sources = scan_sources(request, config.phantoms, config.shape, config.seed)
-    rows: list[dict[str, Any]] = []
-    left_out: list[str] = []
-    pictures: dict[str, bytes] = {}
-    for number, source in enumerate(sources):
-        request.progress("sparse scans", number / len(sources), source.name)
-        try:
-            scan = source.load()
-            for row, picture in _rows(scan, config, fit_config, request, left_out):
-                rows.append(row)
-                pictures.setdefault(f"sparse-{_file_name(scan.name)}-sf{row['sf']}.png", picture)
-        except OctnError as error:
-            left_out.append(f"{source.name} is left out: {error}.")
+    configuration = {"bench": as_plain(config), "fit": as_plain(fit_config)}
+    work = partial(_of_scan, config=config, fit_config=fit_config, device=request.device)
+    scans = run_volumes(sources, work, request, name="sparse", configuration=configuration)
+    rows, pictures = scans.rows, dict(scans.pictures)
     if rows:
         pictures["sparse-curves.png"] = sparse_curves(rows, METHODS)
     return BenchmarkResult(
@@ -98,8 +92,8 @@ def run(request: BenchmarkRequest, config: SparseBenchConfig | None = None) -> B
         columns=filled_columns(rows, COLUMNS),
         paper=_PAPER,
         deviations=_DEVIATIONS,
-        notes=(*_NOTES, *_verdicts(rows), *left_out),
-        configuration={"bench": as_plain(config), "fit": as_plain(fit_config)},
+        notes=(*_NOTES, *_verdicts(rows), *scans.notes),
+        configuration=configuration,
         seeds={"tissue": config.seed, "speckle": config.seed, "fit": config.seed},
         seconds=time.perf_counter() - began,
         pictures=pictures,
@@ -112,9 +106,9 @@ def _fit_config(config: SparseBenchConfig) -> FitConfig:
     return dataclasses.replace(preset, steps=config.steps or preset.steps, time_budget_s=0.0, seed=config.seed)
 
 
-def _rows(
-    scan: BenchScan, config: SparseBenchConfig, fit_config: FitConfig, request: BenchmarkRequest, left_out: list[str]
-) -> Iterator[tuple[dict[str, Any], bytes]]:
+def _of_scan(scan: BenchScan, config: SparseBenchConfig, fit_config: FitConfig, device: str) -> ScanResult:
+    """Return the rows of one scan and a picture for each."""
+    rows, pictures, left_out = [], {}, []
     for factor in config.factors:
         kept_count = -(-scan.volume.geometry.shape[0] // factor)
         if kept_count < 4:
@@ -126,7 +120,7 @@ def _rows(
         judge = SparseJudge(scan.volume, scan.truth, sparse)
         kept = sparse.volume.normalized(slice(None))
         positions = np.arange(judge.count) / factor
-        result = fit(sparse.volume, fit_config, device=request.device)
+        result = fit(sparse.volume, fit_config, device=device)
         sigma = choose_smoothing(kept)
         row: dict[str, Any] = {"volume": scan.name, "sf": factor, "kept": kept_count}
         drawn = {}
@@ -143,10 +137,14 @@ def _rows(
             drawn[method] = reconstruction[middle]
         row |= {"chamfer_um": row["field_chamfer_um"], "sigma_voxels": sigma, "seconds": result.seconds}
         measured = scan.volume.normalized((middle,))
-        yield row, sparse_picture(f"{scan.name}, SF {factor}, B-scan {middle}", measured, drawn, scan.volume.geometry)
+        rows.append(row)
+        pictures[f"sparse-{scan.file_name}-sf{factor}.png"] = sparse_picture(
+            f"{scan.name}, SF {factor}, B-scan {middle}", measured, drawn, scan.volume.geometry
+        )
+    return ScanResult(rows, pictures, left_out)
 
 
-def _verdicts(rows: list[dict[str, Any]]) -> Iterator[str]:
+def _verdicts(rows: Sequence[Row]) -> Iterator[str]:
     """Say where a baseline is better than the field, and by how much at most."""
     for method in METHODS[1:]:
         for key, of_what in (("psnr_db", "measured B-scans"), ("truth_psnr_db", "the truth")):
@@ -161,7 +159,3 @@ def _verdicts(rows: list[dict[str, Any]]) -> Iterator[str]:
                     f"{method} is nearer to {of_what} than the field in {len(lost)} of {len(rows)} rows, by "
                     f"{worst:.2f} dB at most ({row['volume']}, SF {row['sf']})."
                 )
-
-
-def _file_name(name: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in name)
