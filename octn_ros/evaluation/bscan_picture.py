@@ -31,7 +31,7 @@ def fidelity_picture(fidelity: Fidelity, geometry: VolumeGeometry) -> bytes:
             grey = axes.imshow(image, cmap="gray", extent=extent, vmin=0, vmax=1, interpolation="nearest")
             surface_mm = (geometry.origin_m[2] + depths[-1, fidelity.bscan] * geometry.spacing_m[1]) * 1e3
             axes.plot(lateral, surface_mm, ".", color="#35b8c9", markersize=1.5)
-            _outline(axes, regions, geometry)
+            outline_regions(axes, regions, geometry)
             axes.set_title(title)
         difference = fidelity.rendered.astype(np.float64) - fidelity.measured
         limit = max(float(np.quantile(np.abs(difference), 0.995)), 1e-3)
@@ -47,7 +47,8 @@ def fidelity_picture(fidelity: Fidelity, geometry: VolumeGeometry) -> bytes:
         return canvas.png(figure)
 
 
-def _outline(axes: Axes, regions: Sequence[RegionOfInterest], geometry: VolumeGeometry) -> None:
+def outline_regions(axes: Axes, regions: Sequence[RegionOfInterest], geometry: VolumeGeometry) -> None:
+    """Draw regions of interest with their names into a B-scan whose axes are in millimetres."""
     _, axial, lateral = (spacing * 1e3 for spacing in geometry.spacing_m)
     x, _, z = (origin * 1e3 for origin in geometry.origin_m)
     for region in regions:

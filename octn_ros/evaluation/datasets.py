@@ -8,7 +8,6 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import nibabel
 from numpy.lib import format as npy_format
 
 from octn_ros.errors import VolumeError
@@ -137,6 +136,8 @@ def _of_arrays(path: Path, relative: str) -> SetScan | None:
 
 
 def _of_tissue_oct(path: Path, relative: str) -> SetScan:
+    import nibabel  # here, since few scans need it
+
     try:
         header = nibabel.load(path).header
     except (OSError, nibabel.filebasedimages.ImageFileError):  # whoever loads it hears what is wrong

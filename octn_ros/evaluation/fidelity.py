@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import QueryError
+from octn_ros.evaluation.fractional import QUARTERS, anchor_bscan, proxy_bscans
 from octn_ros.evaluation.grid_comparison import (
     GridComparison,
     Progress,
@@ -30,8 +31,6 @@ from octn_ros.metrics import (
     ssim,
 )
 from octn_ros.volume import Volume
-
-_QUARTERS = (0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True)
@@ -103,6 +102,38 @@ def assess_field(
     rendered = render_bscans(field, np.array([bscan]))[0]
     if regions is None:
         regions = find_regions(grid.typical_surface[bscan], (measured.shape[0], measured.shape[1]))
+    surfaces = [_surface_in(region, grid, volume, bscan) for region in regions]
+    return Fidelity(
+        grid=grid,
+        truth=comparisons[1] if truth is not None else None,
+        bscan=bscan,
+        regions=assess_regions(measured, rendered, regions, surfaces),
+        fractional_db=fractional_psnr_db(field, volume),
+        measured=measured,
+        rendered=rendered,
+    )
+
+
+def assess_regions(
+    measured: NDArray[np.float32],
+    rendered: NDArray[np.float32],
+    regions: Sequence[RegionOfInterest],
+    surfaces: Sequence[CloudDistance] | None = None,
+) -> tuple[RegionFidelity, ...]:
+    """Compare a B-scan [axial, lateral] with a reference of the same shape, whole and in regions of interest.
+
+    Args:
+        measured: the reference; a noise-free one serves as well.
+        rendered: what is judged.
+        regions: where; those of air are the noise of every SNR.
+        surfaces: distances of the surfaces within each region, NaN if left out.
+
+    Returns:
+        The whole B-scan first, then the regions.
+
+    Raises:
+        QueryError: a region lies outside the B-scan.
+    """
     air = [region for region in regions if region.kind == "air"]
     noise = [
         np.concatenate([region.cut(image).ravel() for region in air]) if air else np.zeros(0)
@@ -110,18 +141,10 @@ def assess_field(
     ]
     whole = _figures(None, measured, rendered, noise, _NOWHERE)
     parts = [
-        _figures(region, region.cut(measured), region.cut(rendered), noise, _surface_in(region, grid, volume, bscan))
-        for region in regions
+        _figures(region, region.cut(measured), region.cut(rendered), noise, surface)
+        for region, surface in zip(regions, surfaces or [_NOWHERE] * len(regions), strict=True)
     ]
-    return Fidelity(
-        grid=grid,
-        truth=comparisons[1] if truth is not None else None,
-        bscan=bscan,
-        regions=(whole, *parts),
-        fractional_db=fractional_psnr_db(field, volume),
-        measured=measured,
-        rendered=rendered,
-    )
+    return whole, *parts
 
 
 def fractional_psnr_db(field: Field, volume: Volume) -> dict[float, float]:
@@ -134,14 +157,12 @@ def fractional_psnr_db(field: Field, volume: Volume) -> dict[float, float]:
     Returns:
         PSNR in dB by B-scan position.
     """
-    bscans = volume.geometry.shape[0]
-    anchor = min(bscans // 2 if bscans % 2 == 0 else (bscans - 1) // 2, bscans - 2)
-    before, after = volume.normalized(slice(anchor, anchor + 2))
-    positions = np.array([anchor + quarter for quarter in _QUARTERS])
+    anchor = anchor_bscan(volume)
+    positions = anchor + np.array(QUARTERS)
     rendered = render_bscans(field, positions)
     return {
-        float(position): psnr_db((1.0 - quarter) * before + quarter * after, image)
-        for position, quarter, image in zip(positions, _QUARTERS, rendered, strict=True)
+        float(position): psnr_db(proxy, image)
+        for position, proxy, image in zip(positions, proxy_bscans(volume, anchor), rendered, strict=True)
     }
 
 
