@@ -104,7 +104,7 @@ def test_a_scan_that_the_trainer_refuses_ends_the_run(small_source):
 def test_a_plan_that_is_refused_ends_the_run_with_the_planners_reason(small_source, monkeypatch):
     from octn_ros.demo import session
 
-    monkeypatch.setattr(session, "centred_rectangle", lambda geometry: ((0.0, 0.0), (1.0, 1.0)))
+    monkeypatch.setattr(session, "centred_rectangle", lambda geometry: ((0.0, 0.0), (0.01, 0.01)))
     with pytest.raises(session.DemoError, match=r"plan_raster refused: .*inside the scan"):
         session.run_session(small_source, {"fit.time_budget_s": 5.0, "fit.steps": 1}, lambda *shown: None)
 

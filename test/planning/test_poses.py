@@ -178,12 +178,14 @@ def test_leads_in_a_plan_fire_nothing_in_the_simulated_arm(plane_field, calibrat
 
     arm = Arm(ArmConfig(reach_m=10.0), calibration.laser2ee, np.eye(4))
     arm.stage(LaserPath(plan.waypoints_ee, plan.segment, plan.laser_on, plan.speed_m_s, 42, "tool0"), 42, np.eye(4))
-    arm.execute(42)
+    arm.execute(42, dwell_s=1e-3)
+    shots = []
     while arm.state == "executing":
-        arm.step(1e-3)
+        shots += arm.step(1e-3)
     assert arm.executed == plan.laser_on.sum()
-    fired = plan.waypoints_ee[plan.laser_on][:, :3, 3]
-    np.testing.assert_allclose(arm.shots, fired, atol=1e-12)
+    assert [shot.waypoint for shot in shots] == np.flatnonzero(plan.laser_on).tolist()
+    fired = plan.waypoints_ee[plan.laser_on]
+    np.testing.assert_allclose([shot.planned2base for shot in shots], fired, atol=1e-12)
 
 
 def test_a_lead_out_of_the_scan_refuses_the_plan(plane_field, calibration):

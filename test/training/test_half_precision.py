@@ -28,7 +28,7 @@ def test_it_is_what_a_receiver_sees_on_the_whole_scan():
     difference = received.lattice(axes[2], axes[1], axes[0]) - field.lattice(axes[2], axes[1], axes[0])
     loss = half_precision_loss(field)
     assert loss.rms == pytest.approx(float(difference.square().mean().sqrt()), rel=0.1)
-    assert 0.5 * float(difference.abs().max()) <= loss.largest <= float(difference.abs().max()) * 1.0001
+    assert 0.5 * float(difference.abs().max()) <= loss.largest <= float(difference.abs().max()) * 1.01
     assert 0.0 < loss.rms < loss.largest < 1e-2
 
 

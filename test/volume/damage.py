@@ -413,9 +413,14 @@ def read(path: Path, spacing_um: tuple[float, float, float] | None) -> dict[str,
         "outcome": "read" if refusal is None else "refused",
         "cpu_s": _processor_s() - start,
         "wall_s": time.monotonic() - clock,
-        "peak_bytes": 1024
-        * max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)),
+        "peak_bytes": max(_own_peak_bytes(), 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss),
     }
+
+
+def _own_peak_bytes() -> int:
+    """Peak memory since this program began; `ru_maxrss` would begin with that of whoever started it."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return 1024 * next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
 
 
 def _processor_s() -> float:
