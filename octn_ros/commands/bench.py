@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from octn_ros.evaluation.benchmark import BenchmarkResult
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.evaluation.registry.MODULES.
-BENCHMARK_NAMES = ("raster", "sparse", "speed")
+BENCHMARK_NAMES = ("alpha", "bscan", "curve", "raster", "slices", "sparse", "speed")
+_REGION_BENCHMARKS = ("bscan",)
 _TABLE_WIDTH = 240
 
 
@@ -30,6 +31,7 @@ class BenchCommand:
         quick: a reduced run of less than a minute.
         json: print JSON instead of a table.
         output: folder for JSON, Markdown and pictures, None to write nothing.
+        regions: YAML or JSON file of regions of interest in the middle B-scan; found automatically if None.
     """
 
     name: str
@@ -39,6 +41,7 @@ class BenchCommand:
     quick: bool = False
     json: bool = False
     output: Path | None = None
+    regions: Path | None = None
 
     def run(self) -> int:
         """Measure, write the report, print the table; return 0.
@@ -48,6 +51,8 @@ class BenchCommand:
         """
         if self.data is not None and not self.data.is_dir():
             raise terminal.CommandError(f"{self.data}: expected a folder of C-scans for --data")
+        if self.regions is not None and self.name not in _REGION_BENCHMARKS:
+            raise terminal.CommandError(f"--rois: expected {', '.join(_REGION_BENCHMARKS)}, {self.name} has no regions")
         if self.output is not None:
             terminal.make_output_directory(self.output)
         from octn_ros.evaluation.benchmark import BenchmarkRequest
@@ -58,7 +63,9 @@ class BenchCommand:
 
         measure, device = benchmark(self.name), str(torch_device(self.device))
         with terminal.ProgressBar() as bar:
-            result = measure(BenchmarkRequest(self.data, self.spacing_um, device, self.quick, bar.show))
+            result = measure(
+                BenchmarkRequest(self.data, self.spacing_um, device, self.quick, bar.show, regions=self.regions)
+            )
         surroundings = environment(device)
         values = result_to_plain(result, surroundings) | {"quick": self.quick}
         if self.output is not None:
@@ -83,6 +90,12 @@ def add_parser(commands: Any) -> None:
     common.add_device(parser)
     parser.add_argument("--quick", action="store_true", help="a reduced run that ends within a minute on two cores")
     parser.add_argument("--output", type=Path, metavar="DIR", help="write NAME.json, NAME.md and pictures there")
+    parser.add_argument(
+        "--rois",
+        type=Path,
+        metavar="FILE",
+        help="for bscan: YAML or JSON list of regions of interest in the middle B-scan, as octn eval takes it",
+    )
     common.add_json(parser)
     parser.set_defaults(read=_read)
 
@@ -96,6 +109,7 @@ def _read(arguments: argparse.Namespace) -> BenchCommand:
         quick=arguments.quick,
         json=arguments.json,
         output=arguments.output,
+        regions=arguments.rois,
     )
 
 

@@ -9,7 +9,11 @@ from octn_ros.evaluation.benchmark import Benchmark
 
 # Name on the command line -> module with `run`.
 MODULES = {
+    "alpha": "octn_ros.evaluation.alpha",
+    "bscan": "octn_ros.evaluation.bscan",
+    "curve": "octn_ros.evaluation.curve",
     "raster": "octn_ros.evaluation.raster",
+    "slices": "octn_ros.evaluation.slices",
     "sparse": "octn_ros.evaluation.sparse",
     "speed": "octn_ros.evaluation.speed",
 }

@@ -59,6 +59,8 @@ def test_the_table_is_for_people(instant, capsys):
         (("magic",), "invalid choice: 'magic'"),
         (("raster", "--data", "missing"), "expected a folder of C-scans"),
         (("raster", "--device", "abacus"), "abacus"),
+        (("raster", "--rois", "rois.yaml"), "expected bscan, raster has no regions"),
+        (("bscan", "--rois", "missing.yaml"), "missing.yaml"),
     ],
 )
 def test_bad_arguments_are_one_line(arguments, words, capsys):
