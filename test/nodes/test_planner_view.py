@@ -248,6 +248,21 @@ def test_finite_parameters_of_infinite_intensities_are_refused(neural: bytes) ->
         _check_values(field)
 
 
+def test_a_field_that_is_here_already_withdraws_no_plan(spin: Callable[..., Any], client: Any, volume: Volume) -> None:
+    bench = Bench(spin, client, **RASTER)
+    data = dumps_field(InterpolatedField(volume))
+    bench.give(data)
+    bench.until("ready to plan")
+    assert bench.replan().success
+    bench.until("waypoints in")
+    planned = len(bench.status.messages)
+    bench.give(data)  # as a trainer does that starts again
+    bench.give(data, stamp_ns=STAMP_NS + 1)
+    bench.until("field refused", "name its scan")
+    assert len(bench.status.messages) == planned + 1
+    assert all(message.poses for message in bench.waypoints.messages)
+
+
 def test_a_plan_larger_than_allowed_is_refused_before_it_is_searched(
     spin: Callable[..., Any], client: Any, volume: Volume
 ) -> None:
