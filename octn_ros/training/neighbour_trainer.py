@@ -24,6 +24,8 @@ from octn_ros.volume import Volume
 _REACH = 3
 # Samples kept, of all predicted B-scans together: 128 MB at eight features.
 _MOST_SAMPLES = 1 << 22
+# Of features in a direction that counts; intensities are between 0 and 1.
+_LEAST_VARIANCE = 1e-6
 # Intensities and their averages lie in [0, 1]; carried through a ReLU they must not fall below 0.
 _LIFT = 1.0
 
@@ -191,6 +193,8 @@ def _whitening(
     mean = features.mean(axis=0, dtype=np.float64)
     some = features[:: max(1, len(features) // (1 << 18))] - mean
     values, axes = np.linalg.eigh(np.atleast_2d(np.cov(some.T)))
-    # Directions in which features hardly differ are not blown up to rounding noise.
-    deviation = np.sqrt(values.clip(1e-8, None))
-    return np.float32(mean), np.float32(axes / deviation), np.float32((axes * deviation).T)
+    # What features never did while it was learned, they are not asked about later: with two B-scans, say, one and the
+    # mean of both, which are alike half-way between them.
+    deviation = np.sqrt(values.clip(0.0, None))
+    inverse = np.where(values > _LEAST_VARIANCE, 1.0 / np.maximum(deviation, 1e-12), 0.0)
+    return np.float32(mean), np.float32(axes * inverse), np.float32((axes * deviation).T)

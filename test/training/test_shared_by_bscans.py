@@ -8,6 +8,7 @@ import scipy.ndimage
 import torch
 
 from octn_ros.errors import ConfigurationError, TrainingError
+from octn_ros.evaluation.interpolators import trilinear
 from octn_ros.field import HashGridConfig, NetworkConfig, NeuralFieldConfig, NeuralModel
 from octn_ros.metrics import psnr_db
 from octn_ros.simulation import make_phantom, named_phantom
@@ -112,6 +113,18 @@ def test_it_is_nearer_to_the_truth_than_a_gaussian():
     linear = 0.5 * (blurred[1:] + blurred[:-1])
     assert psnr_db(truth[1::2], between) > psnr_db(truth[1::2], linear) + 2.0
     assert psnr_db(measured[1::2], between) > psnr_db(measured[1::2], linear)
+
+
+@pytest.mark.parametrize("bscans", [3, 4, 5])
+def test_few_bscans_are_no_worse_than_interpolated(bscans):
+    """Where there is little to learn from, features that were never seen to differ must not run away with it."""
+    phantom = make_phantom(named_phantom("wavy-13dB-averaged", shape=(8 * (bscans - 1) + 1, 64, 32)))
+    truth = phantom.truth.normalized(slice(None))
+    kept = phantom.volume.normalized(slice(None))[::8]
+    field = fit(volume_of(kept), QUICK).field
+    lateral, axial = torch.linspace(-1, 1, 32), torch.linspace(-1, 1, 64)
+    between = field.lattice(lateral, axial, torch.linspace(-1, 1, len(truth))).numpy()
+    assert psnr_db(truth, between) > psnr_db(truth, trilinear(kept, np.arange(len(truth)) / 8))
 
 
 def test_the_network_that_was_learned_is_the_models():
