@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from octn_ros.evaluation.benchmark import BenchmarkResult
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.evaluation.registry.MODULES.
-BENCHMARK_NAMES = ("alpha", "bscan", "curve", "raster", "slices", "sparse", "speed")
+BENCHMARK_NAMES = ("alpha", "band", "bscan", "curve", "raster", "slices", "sparse", "speed")
 _REGION_BENCHMARKS = ("bscan",)
-_TABLE_WIDTH = 240
+_TABLE_WIDTH = 2000  # more than any table needs
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,6 @@ def _print_result(result: BenchmarkResult) -> None:
     for key, value in result.figures.items():
         console.print(f"{key}: {value if isinstance(value, bool) else f'{value:.4g}'}", markup=False)
     # A terminal can scroll or wrap a wide table; columns squeezed to two letters nobody can read.
-    console.print(table, width=max(console.width, _TABLE_WIDTH), crop=False, soft_wrap=True)
+    Console(highlight=False, width=_TABLE_WIDTH).print(table)
     for sentence in (*result.notes, *result.deviations):
         console.print(f"- {sentence}", markup=False)

@@ -10,6 +10,7 @@ from octn_ros.evaluation.benchmark import Benchmark
 # Name on the command line -> module with `run`.
 MODULES = {
     "alpha": "octn_ros.evaluation.alpha",
+    "band": "octn_ros.evaluation.band",
     "bscan": "octn_ros.evaluation.bscan",
     "curve": "octn_ros.evaluation.curve",
     "raster": "octn_ros.evaluation.raster",
