@@ -68,7 +68,7 @@ class Column:
         if value is None or value != value:
             return "-"
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            return self.form.format(value * self.scale)
+            return self.form.format(value if self.scale == 1.0 else value * self.scale)
         return str(value)
 
 

@@ -37,6 +37,7 @@ def test_cells_are_scaled_and_missing_ones_are_dashes():
     assert percent.text({"hit_rate": 0.5}) == "50.0"
     assert percent.text({"hit_rate": math.nan}) == percent.text({}) == "-"
     assert plain.text({"method": "newton"}) == "newton"
+    assert plain.text({"method": 16}) == "16"
 
 
 def test_the_report_names_everything_a_reader_needs():
