@@ -24,7 +24,7 @@ def training_curves(rows: Sequence[Row]) -> bytes:
                 colour = _COLOURS[number % len(_COLOURS)]
                 mine = [row for row in rows if row["start"] == start and row["curve_s"]]
                 for index, row in enumerate(mine):
-                    name = f"start: {start}" if index == 0 else None
+                    name = start if index == 0 else None
                     axes.plot(row["curve_s"], row[key], color=colour, linewidth=0.9, alpha=0.8, label=name)
                     hybrid = row["curve_stage"].count("hybrid")
                     if hybrid:
@@ -33,6 +33,7 @@ def training_curves(rows: Sequence[Row]) -> bytes:
                 if switches:
                     axes.axvline(float(np.mean(switches)), color=colour, linestyle="--", linewidth=0.8)
             axes.set(title=title, xlabel="seconds")
+            axes.set_xlim(left=0.0)
         panels[0].set_yscale("log")
         panels[1].axhline(30.0, color="#8a9099", linewidth=0.8, linestyle=":")
         panels[1].text(0.99, 30.0, "30 dB", transform=panels[1].get_yaxis_transform(), ha="right", va="bottom")

