@@ -15,12 +15,13 @@ from octn_ros.evaluation.engine import run_volumes
 from octn_ros.evaluation.grid_comparison import render_bscans
 from octn_ros.evaluation.interpolators import PLAIN, choose_smoothing, smoothed
 from octn_ros.evaluation.kept_rows import ScanResult
-from octn_ros.evaluation.scans import BenchScan, scan_sources
+from octn_ros.evaluation.preset_fit import preset_fit
+from octn_ros.evaluation.scans import BenchScan, scan_sources, stated_spacings
 from octn_ros.evaluation.sparse_config import QUICK, SparseBenchConfig
 from octn_ros.evaluation.sparse_judgement import SparseJudge
 from octn_ros.evaluation.sparse_picture import sparse_curves, sparse_picture
 from octn_ros.settings import as_plain
-from octn_ros.training import PRESETS, FitConfig, fit
+from octn_ros.training import FitConfig, fit
 from octn_ros.volume import subsample_bscans
 
 METHODS = ("field", "trilinear", "cubic", "smoothed")
@@ -77,7 +78,7 @@ def run(request: BenchmarkRequest, config: SparseBenchConfig | None = None) -> B
     """
     config = config or (QUICK if request.quick else SparseBenchConfig())
     began = time.perf_counter()
-    fit_config = _fit_config(config)
+    fit_config = preset_fit(config.preset, config.steps, config.seed)
     sources = scan_sources(request, config.phantoms, config.shape, config.seed)
     configuration = {"bench": as_plain(config), "fit": as_plain(fit_config)}
     work = partial(_of_scan, config=config, fit_config=fit_config, device=request.device)
@@ -92,18 +93,12 @@ def run(request: BenchmarkRequest, config: SparseBenchConfig | None = None) -> B
         columns=filled_columns(rows, COLUMNS),
         paper=_PAPER,
         deviations=_DEVIATIONS,
-        notes=(*_NOTES, *_verdicts(rows), *scans.notes),
+        notes=(*_NOTES, *_verdicts(rows), *stated_spacings(sources, request), *scans.notes),
         configuration=configuration,
         seeds={"tissue": config.seed, "speckle": config.seed, "fit": config.seed},
         seconds=time.perf_counter() - began,
         pictures=pictures,
     )
-
-
-def _fit_config(config: SparseBenchConfig) -> FitConfig:
-    preset = PRESETS[config.preset]
-    # No time budget: its fits follow the clock and cannot be repeated.
-    return dataclasses.replace(preset, steps=config.steps or preset.steps, time_budget_s=0.0, seed=config.seed)
 
 
 def _of_scan(scan: BenchScan, config: SparseBenchConfig, fit_config: FitConfig, device: str) -> ScanResult:
