@@ -53,6 +53,21 @@ def test_the_table_is_for_people(instant, capsys):
     assert "All differs." in output
 
 
+def test_a_wide_table_is_written_out(instant, monkeypatch, capsys):
+    """Thirty columns on a terminal of 80 letters: every title and every value in full."""
+    from octn_ros.evaluation.benchmark import BenchmarkResult, Column
+
+    columns = [Column(f"k{i}", f"a rather long title {i}") for i in range(30)]
+    wide = BenchmarkResult("raster", "wide", [{f"k{i}": 1000 + i for i in range(30)}], columns, [], [], [], {}, {}, 0.1)
+    monkeypatch.setattr(sys.modules["instant_benchmark"], "run", lambda request: wide)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["bench", "raster"]) == 0
+    output = capsys.readouterr().out
+    for i in range(30):
+        assert f"a rather long title {i}" in output
+        assert str(1000 + i) in output
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
