@@ -24,6 +24,8 @@ class CScanAssembler:
     The OCT frame's origin is the centre of the first voxel of B-scan 0, so the index of a B-scan is its y over the
     step from one to the next. B-scan 0 begins a C-scan. A B-scan that does not fit drops the partial C-scan: `add`
     raises once, and the rest of that C-scan is then left aside without a further error until a B-scan 0 arrives.
+    Where the end of one C-scan and as much of the beginning of the next were lost, the numbers alone show no gap; the
+    stamps do.
 
     The voxels are allocated once, when B-scan 0 comes, and become those of the Volume: each image is copied once.
 
@@ -55,7 +57,7 @@ class CScanAssembler:
         self._voxels: NDArray[Any] | None = None
         self._received = 0
         self._form = ""
-        self._stamp_ns = self._last_stamp_ns = 0
+        self._stamps_ns: list[int] = []
         self._aside = False
 
     @property
@@ -65,8 +67,8 @@ class CScanAssembler:
 
     @property
     def last_stamp_ns(self) -> int:
-        """Acquisition time of the last B-scan that was taken."""
-        return self._last_stamp_ns
+        """Acquisition time of the last B-scan that was taken, 0 before the first."""
+        return self._stamps_ns[-1] if self._stamps_ns else 0
 
     def add(self, image: NDArray[Any], image2oct: NDArray[np.floating], stamp_ns: int, form: str = "") -> Volume | None:
         """Take the next B-scan.
@@ -110,7 +112,7 @@ class CScanAssembler:
         self._voxels[index] = image
         self._places.take(pose)
         self._received += 1
-        self._last_stamp_ns = stamp_ns
+        self._stamps_ns.append(stamp_ns)
         return self._finish(self._voxels) if self._received == self._count else None
 
     def give_up(self) -> str | None:
@@ -140,7 +142,7 @@ class CScanAssembler:
         self._voxels[0] = image
         self._received, self._form = 1, form
         self._places.take(pose)
-        self._stamp_ns = self._last_stamp_ns = stamp_ns
+        self._stamps_ns = [stamp_ns]
         self._aside = False
 
     def _check(self, index: int, first: NDArray[Any], image: NDArray[Any], stamp_ns: int, form: str) -> None:
@@ -156,14 +158,25 @@ class CScanAssembler:
             )
         if form != self._form:
             self._drop(f"B-scan {index}: expected an image sent as B-scan 0 was ({self._form}), got one {form}")
-        if stamp_ns < self._last_stamp_ns:
+        if stamp_ns < self.last_stamp_ns:
             self._drop(
-                f"B-scan {index}: expected a stamp of at least {self._last_stamp_ns} ns, that of B-scan {index - 1}, "
+                f"B-scan {index}: expected a stamp of at least {self.last_stamp_ns} ns, that of B-scan {index - 1}, "
                 f"got {stamp_ns} ns; it belongs to an older C-scan"
             )
 
+    def _check_pace(self) -> None:
+        """Refuse a C-scan whose B-scans are of two: from one to the next passes the time of a whole C-scan."""
+        steps_ns = np.diff(self._stamps_ns)
+        usual_ns, last = float(np.median(steps_ns)), int(steps_ns.argmax())
+        if steps_ns[last] > 0.5 * self._count * usual_ns > 0.0:
+            self._drop(
+                f"B-scan {last + 1}: expected a stamp some {usual_ns * 1e-6:.3g} ms after that of B-scan {last}, as "
+                f"between the others, got one {steps_ns[last] * 1e-6:.6g} ms after it; they are of two C-scans"
+            )
+
     def _finish(self, voxels: NDArray[Any]) -> Volume:
-        along, origin_m, stamp_ns = self._places.step_m, self._places.origin_m, self._stamp_ns
+        self._check_pace()
+        along, origin_m, stamp_ns = self._places.step_m, self._places.origin_m, self._stamps_ns[0]
         # Forgotten first: whatever the Volume says of the voxels, this C-scan is over.
         self._forget()
         assert along is not None  # two B-scans have told it
