@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from octn_ros.evaluation.benchmark import BenchmarkResult
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.evaluation.registry.MODULES.
-BENCHMARK_NAMES = ("alpha", "band", "bscan", "curve", "raster", "slices", "sparse", "speed")
+BENCHMARK_NAMES = ("alpha", "band", "bscan", "compare", "curve", "raster", "slices", "sparse", "speed")
 _REGION_BENCHMARKS = ("bscan",)
 _TABLE_WIDTH = 2000  # more than any table needs
 

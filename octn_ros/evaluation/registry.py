@@ -12,6 +12,7 @@ MODULES = {
     "alpha": "octn_ros.evaluation.alpha",
     "band": "octn_ros.evaluation.band",
     "bscan": "octn_ros.evaluation.bscan",
+    "compare": "octn_ros.evaluation.compare",
     "curve": "octn_ros.evaluation.curve",
     "raster": "octn_ros.evaluation.raster",
     "slices": "octn_ros.evaluation.slices",
