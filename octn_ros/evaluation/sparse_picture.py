@@ -53,6 +53,8 @@ def sparse_curves(rows: Sequence[Row], methods: Sequence[str]) -> bytes:
                 axes.plot(factors, mean, ".-", color=COLOURS[method], label=method)
                 axes.fill_between(factors, mean - deviation, mean + deviation, color=COLOURS[method], alpha=0.12)
             axes.set_xscale("log", base=2)
+            factors = sorted({row["sf"] for row in rows})
+            axes.set_xticks(factors, [str(factor) for factor in factors])
             axes.set(title=title, xlabel="SF")
         panels[0].legend()
         return canvas.png(figure)
