@@ -144,6 +144,7 @@ def _mean_row(alpha: float, scans: Sequence[Row]) -> dict[str, Any]:
     row: dict[str, Any] = {"alpha": alpha, "scans": len(scans)}
     if scans:
         row |= {key: float(np.mean([scan[key] for scan in scans])) for key in _FIGURES}
+    if len(scans) > 1:
         row |= {f"{part}_psnr_sd_db": float(np.std([scan[f"{part}_psnr_db"] for scan in scans])) for part in _PARTS}
     for paper in PAPER:
         if abs(paper["alpha"] - alpha) < 1e-9:

@@ -18,9 +18,8 @@ def alpha_curves(rows: Sequence[Row], paper: Sequence[Row]) -> bytes:
         panels = figure.subplots(1, 2, sharex=True)
         for axes, part, title in zip(panels, ("volume", "slice"), ("All voxels", "B-scan D/2 + 0.5"), strict=True):
             for lines, colour, name in ((rows, canvas.BLUE, "measured here"), (paper, canvas.ORANGE, "paper, table 4")):
-                alpha, mean, deviation = (
-                    [row[key] for row in lines] for key in ("alpha", f"{part}_psnr_db", f"{part}_psnr_sd_db")
-                )
+                alpha, mean = ([row[key] for row in lines] for key in ("alpha", f"{part}_psnr_db"))
+                deviation = [row.get(f"{part}_psnr_sd_db", 0.0) for row in lines]  # a single scan has none
                 axes.errorbar(alpha, mean, deviation, fmt=".-", color=colour, capsize=2.5, linewidth=1.2, label=name)
             axes.set(title=title, xlabel="alpha", ylabel="PSNR (dB)")
         panels[0].legend()

@@ -19,7 +19,7 @@ TINY = AlphaBenchConfig(
     phantoms=("wavy-15dB-averaged",),
     shape=SHAPE,
     alphas=(0.0, 0.2),
-    fit=dataclasses.replace(QUICK.fit, steps=100, batch=1024),
+    fit=dataclasses.replace(QUICK.fit, steps=60, batch=1024),
 )
 
 
@@ -29,10 +29,11 @@ def test_the_trend_of_the_paper():
     result = alpha.run(BenchmarkRequest(device="cpu", progress=lambda *what: told.append(what)), TINY)
     none, fifth = result.rows
     assert [none["alpha"], fifth["alpha"]] == [0.0, 0.2]
-    assert fifth["slice_psnr_db"] > none["slice_psnr_db"] + 2.0
+    assert fifth["slice_psnr_db"] > none["slice_psnr_db"] + 1.5
     assert none["volume_psnr_db"] - 3.0 < fifth["volume_psnr_db"] < none["volume_psnr_db"]
     assert none["slice_psnr_db"] < none["volume_psnr_db"]
     assert none["paper_slice_psnr_db"] == 22.86
+    assert "slice_psnr_sd_db" not in none
     assert told
     assert {"alpha-curves.png", "alpha-wavy-15dB-averaged.png"} == set(result.pictures)
     assert all(picture.startswith(b"\x89PNG") for picture in result.pictures.values())
