@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from octn_ros.evaluation.benchmark import BenchmarkResult
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.evaluation.registry.MODULES.
-BENCHMARK_NAMES = ("alpha", "band", "bscan", "compare", "curve", "raster", "slices", "sparse", "speed")
+BENCHMARK_NAMES = ("all", "alpha", "band", "bscan", "compare", "curve", "raster", "slices", "sparse", "speed")
 _REGION_BENCHMARKS = ("bscan",)
 _TABLE_WIDTH = 2000  # more than any table needs
 
@@ -30,8 +30,11 @@ class BenchCommand:
         device: auto, cpu, cuda, ...
         quick: a reduced run of less than a minute.
         json: print JSON instead of a table.
-        output: folder for JSON, Markdown and pictures, None to write nothing.
+        output: folder for JSON, Markdown and pictures, None to write nothing, or for all octn-bench or octn-bench-quick
+            here.
         regions: YAML or JSON file of regions of interest in the middle B-scan; found automatically if None.
+        workers: processes that measure the scans of a folder side by side, 0 for as many as the machine bears.
+        scheduler: address of a Dask scheduler whose workers do so instead.
     """
 
     name: str
@@ -42,6 +45,8 @@ class BenchCommand:
     json: bool = False
     output: Path | None = None
     regions: Path | None = None
+    workers: int = 0
+    scheduler: str | None = None
 
     def run(self) -> int:
         """Measure, write the report, print the table; return 0.
@@ -53,8 +58,13 @@ class BenchCommand:
             raise terminal.CommandError(f"{self.data}: expected a folder of C-scans for --data")
         if self.regions is not None and self.name not in _REGION_BENCHMARKS:
             raise terminal.CommandError(f"--rois: expected {', '.join(_REGION_BENCHMARKS)}, {self.name} has no regions")
-        if self.output is not None:
-            terminal.make_output_directory(self.output)
+        if self.workers < 0:
+            raise terminal.CommandError(f"--workers: expected a number of processes, got {self.workers}")
+        output = self.output
+        if output is None and self.name == "all":
+            output = Path("octn-bench-quick" if self.quick else "octn-bench")
+        if output is not None:
+            terminal.make_output_directory(output)
         from octn_ros.evaluation.benchmark import BenchmarkRequest
         from octn_ros.evaluation.environment import environment
         from octn_ros.evaluation.registry import benchmark
@@ -64,20 +74,30 @@ class BenchCommand:
         measure, device = benchmark(self.name), str(torch_device(self.device))
         with terminal.ProgressBar() as bar:
             result = measure(
-                BenchmarkRequest(self.data, self.spacing_um, device, self.quick, bar.show, regions=self.regions)
+                BenchmarkRequest(
+                    data=self.data,
+                    spacing_um=self.spacing_um,
+                    device=device,
+                    quick=self.quick,
+                    progress=bar.show,
+                    regions=self.regions,
+                    output=output,
+                    workers=self.workers,
+                    scheduler=self.scheduler,
+                )
             )
         surroundings = environment(device)
         values = result_to_plain(result, surroundings) | {"quick": self.quick}
-        if self.output is not None:
-            with terminal.writing(self.output):
-                written = write_report(self.output, result, surroundings)
+        if output is not None:
+            with terminal.writing(output):
+                written = write_report(output, result, surroundings)
             values["written"] = [str(path) for path in written]
         if self.json:
             terminal.print_json(values)
         else:
             _print_result(result)
-            if self.output is not None:
-                terminal.say(f"report: {self.output / result.name}.md")
+            if output is not None:
+                terminal.say(f"report: {output / ('report' if self.name == 'all' else self.name)}.md")
         return 0
 
 
@@ -89,13 +109,26 @@ def add_parser(commands: Any) -> None:
     common.add_spacing(parser)
     common.add_device(parser)
     parser.add_argument("--quick", action="store_true", help="a reduced run that ends within a minute on two cores")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="write NAME.json, NAME.md and pictures there")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="write NAME.json, NAME.md and pictures there; a run that was broken off goes on from what it holds",
+    )
     parser.add_argument(
         "--rois",
         type=Path,
         metavar="FILE",
         help="for bscan: YAML or JSON list of regions of interest in the middle B-scan, as octn eval takes it",
     )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=0,
+        metavar="N",
+        help="processes that measure the scans of a folder side by side; as many as the machine bears, 1 without Dask",
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure the scans instead")
     common.add_json(parser)
     parser.set_defaults(read=_read)
 
@@ -110,6 +143,8 @@ def _read(arguments: argparse.Namespace) -> BenchCommand:
         json=arguments.json,
         output=arguments.output,
         regions=arguments.rois,
+        workers=arguments.workers,
+        scheduler=arguments.scheduler,
     )
 
 

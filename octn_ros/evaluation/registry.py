@@ -9,6 +9,7 @@ from octn_ros.evaluation.benchmark import Benchmark
 
 # Name on the command line -> module with `run`.
 MODULES = {
+    "all": "octn_ros.evaluation.all_benchmarks",
     "alpha": "octn_ros.evaluation.alpha",
     "band": "octn_ros.evaluation.band",
     "bscan": "octn_ros.evaluation.bscan",
@@ -19,6 +20,8 @@ MODULES = {
     "sparse": "octn_ros.evaluation.sparse",
     "speed": "octn_ros.evaluation.speed",
 }
+# Those that need the truth, and so take no folder of scans.
+PHANTOMS_ALONE = ("raster", "speed")
 
 
 def benchmark(name: str) -> Benchmark:

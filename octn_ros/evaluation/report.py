@@ -48,10 +48,7 @@ def markdown(result: BenchmarkResult, environment: dict[str, Any]) -> str:
         *_figures(result.figures),
         *_table(result.rows, result.columns),
         "",
-        "## The paper's figures",
-        "",
-        *_table(result.paper, [*filled_columns(result.paper, result.columns), Column("source", "where")]),
-        "",
+        *_paper(result),
         *_list("What the figures mean", result.notes),
         *_list("Where the protocol differs from the paper's", result.deviations),
         *[f"![{name}]({name})\n" for name in sorted(result.pictures)],
@@ -82,6 +79,52 @@ def write_report(folder: Path, result: BenchmarkResult, environment: dict[str, A
         path.write_bytes(data)
         written.append(path)
     return written
+
+
+def combined_report(
+    folder: Path,
+    rows: Sequence[Row],
+    columns: Sequence[Column],
+    environment: dict[str, Any],
+    notes: Sequence[str],
+) -> str:
+    """Return one report of many that lie in a folder as NAME.md: a list of them with links, then each, a level lower.
+
+    Args:
+        folder: where they lie.
+        rows: one for each, with its name as "benchmark".
+        columns: of the list.
+        environment: where and with what the list was made.
+        notes: what is to be said of them all.
+    """
+    versions, hardware = environment["versions"], environment["hardware"]
+    lines = [
+        "# octn bench: the paper's tables and figures",
+        "",
+        f"{environment['date']}, commit {environment['commit'] or 'unknown'}, octn_ros {versions['octn_ros']}; "
+        f"{hardware['cpu']}, {hardware['cores']} cores" + (f", {hardware['gpu']}" if hardware["gpu"] else "") + ".",
+        "",
+        *_table([{**row, "benchmark": f"[{row['benchmark']}](#{row['benchmark']})"} for row in rows], columns),
+        "",
+        *(f"- {note}" for note in notes),
+        "",
+    ]
+    for row in rows:
+        name = row["benchmark"]
+        lines += [f'<a id="{name}"></a>', ""]
+        part = folder / f"{name}.md"
+        if row["state"] == "failed" or not part.is_file():
+            lines += [f"## octn bench {name}", "", "It failed; see above.", ""]
+        else:
+            lines += [f"#{line}" if line.startswith("#") else line for line in part.read_text("utf-8").splitlines()]
+    return "\n".join(lines)
+
+
+def _paper(result: BenchmarkResult) -> list[str]:
+    if not result.paper:
+        return []
+    columns = [*filled_columns(result.paper, result.columns), Column("source", "where")]
+    return ["## The paper's figures", "", *_table(result.paper, columns), ""]
 
 
 def _table(rows: Sequence[Row], columns: Sequence[Column]) -> list[str]:

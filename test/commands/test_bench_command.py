@@ -74,6 +74,8 @@ def test_a_wide_table_is_written_out(instant, monkeypatch, capsys):
         (("magic",), "invalid choice: 'magic'"),
         (("raster", "--data", "missing"), "expected a folder of C-scans"),
         (("raster", "--device", "abacus"), "abacus"),
+        (("sparse", "--workers", "-1"), "--workers: expected a number of processes"),
+        (("sparse", "--quick", "--scheduler", "nonsense://x"), "address of a running Dask scheduler"),
         (("raster", "--rois", "rois.yaml"), "expected bscan, raster has no regions"),
         (("bscan", "--rois", "missing.yaml"), "missing.yaml"),
     ],
@@ -84,3 +86,19 @@ def test_bad_arguments_are_one_line(arguments, words, capsys):
     assert error.startswith("octn bench: error: ")
     assert words in error
     assert error.count("\n") == 1
+
+
+def test_all_has_a_folder_of_its_own(instant, tmp_path, monkeypatch, capsys):
+    """Without --output the report of all lies in octn-bench-quick; a second run measures nothing again."""
+    from octn_ros.evaluation import all_benchmarks
+
+    only = all_benchmarks.AllBenchConfig(names=("raster",))
+    monkeypatch.setattr(all_benchmarks, "AllBenchConfig", lambda: only)
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert main(["bench", "all", "--quick", "--device", "cpu", "--workers", "1"]) == 0
+    assert len(instant) == 1
+    assert instant[0].workers == 1
+    assert "octn-bench-quick/report.md" in capsys.readouterr().err
+    names = {path.name for path in (tmp_path / "octn-bench-quick").iterdir()}
+    assert {"report.md", "raster.md", "raster.json", "all.json", "a.png"} <= names
