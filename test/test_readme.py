@@ -97,10 +97,10 @@ def test_the_commands_of_octn_in_all_blocks_have_the_options_they_are_shown_with
             words = line.split()
             if not words or not re.fullmatch(r"[a-z]+", words[0]) or words[0] == "run":
                 continue
-            name = " ".join(words[:2]) if words[0] == "bench" else words[0]
+            name = words[0]
             if name not in helped:
                 with contextlib.suppress(SystemExit):
-                    main([*name.split(), "--help"])
+                    main([name, "--help"])
                 helped[name] = capsys.readouterr().out
             for option in re.findall(r"(?<!\S)--[a-z][\w-]*", line):
                 assert option in helped[name], f"{page.name}: octn {line}"
