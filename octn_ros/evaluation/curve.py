@@ -149,7 +149,7 @@ def _measure(scan: BenchScan, fits: dict[str, FitConfig], noise_reductions: Sequ
 def curve_figures(result: FitResult) -> dict[str, Any]:
     """Return the curve of a fit, and the figures at its beginning, at the change of its stages, and at its end.
 
-    A fit without a hybrid stage has none at the change; one that never is at 30 dB has no time for it.
+    A fit of one stage has none at the change; one that never is at 30 dB has no time for it.
     """
     reports = result.history
     figures: dict[str, Any] = {
@@ -161,10 +161,11 @@ def curve_figures(result: FitResult) -> dict[str, Any]:
     }
     if reports:
         figures |= {"loss_first": reports[0].loss, "loss_last": reports[-1].loss, "curve_first_db": reports[0].psnr_db}
-    hybrid = [report for report in reports if report.stage == "hybrid"]
-    if hybrid:
-        last = hybrid[-1]
-        figures |= {"switch_s": last.seconds, "loss_switch": last.loss, "curve_switch_db": last.psnr_db}
+    hybrid = sum(report.stage == "hybrid" for report in reports)
+    if 0 < hybrid < len(reports):
+        last = reports[hybrid - 1]
+        # A report carries the stage of its last step: the change came at most a quarter of a second before this one.
+        figures |= {"switch_s": reports[hybrid].seconds, "loss_switch": last.loss, "curve_switch_db": last.psnr_db}
     return figures
 
 

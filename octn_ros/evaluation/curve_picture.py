@@ -27,8 +27,8 @@ def training_curves(rows: Sequence[Row]) -> bytes:
                     name = start if index == 0 else None
                     axes.plot(row["curve_s"], row[key], color=colour, linewidth=0.9, alpha=0.8, label=name)
                     hybrid = row["curve_stage"].count("hybrid")
-                    if hybrid:
-                        axes.plot(row["curve_s"][hybrid - 1], row[key][hybrid - 1], ".", color=colour, markersize=6)
+                    if 0 < hybrid < len(row["curve_s"]):
+                        axes.plot(row["curve_s"][hybrid], row[key][hybrid], ".", color=colour, markersize=6)
                 switches = [row["switch_s"] for row in mine if row.get("switch_s") is not None]
                 if switches:
                     axes.axvline(float(np.mean(switches)), color=colour, linestyle="--", linewidth=0.8)

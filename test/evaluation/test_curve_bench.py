@@ -33,11 +33,12 @@ def test_a_curve_by_hand():
     result = FitResult(None, 4, 1.0, 31.1, history, "time")
     figures = curve.curve_figures(result)
     assert figures["acceptable_s"] == 0.75
-    assert (figures["switch_s"], figures["loss_switch"], figures["curve_switch_db"]) == (0.5, 0.01, 29.9)
+    assert (figures["switch_s"], figures["loss_switch"], figures["curve_switch_db"]) == (0.75, 0.01, 29.9)
     assert (figures["loss_first"], figures["loss_last"], figures["curve_first_db"]) == (0.1, 0.004, 20.0)
     assert figures["curve_stage"] == ["hybrid", "hybrid", "discrete", "discrete"]
     discrete = curve.curve_figures(dataclasses.replace(result, history=history[3:]))
     assert "switch_s" not in discrete
+    assert "switch_s" not in curve.curve_figures(dataclasses.replace(result, history=history[:2]))
     assert curve.curve_figures(dataclasses.replace(result, history=history[:1]))["acceptable_s"] is None
     assert curve.curve_figures(dataclasses.replace(result, history=()))["curve_s"] == []
 
