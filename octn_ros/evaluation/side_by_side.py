@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import warnings
 from collections.abc import Iterator, Sequence
@@ -44,14 +45,27 @@ def measure_side_by_side(
     except ImportError as error:
         raise ConfigurationError("scheduler: expected Dask to be installed; pip install 'octn_ros[bench]'") from error
     with _client(processes, scheduler) as client:
-        futures = [client.submit(_measure, source, work, pure=False, retries=0) for source in sources]
-        numbers = {future.key: number for number, future in enumerate(futures)}
+        waiting = iter(enumerate(sources))
+        numbers: dict[object, int] = {}
+        done = distributed.as_completed(loop=client.loop)
+
+        def submit_next() -> None:
+            for number, source in itertools.islice(waiting, 1):
+                future = client.submit(_measure, source, work, pure=False, retries=0)
+                numbers[future.key] = number
+                done.add(future)
+
+        # One scan for each thread: others that waited for a worker that dies would be taken for what it died of.
+        for _ in range(sum(client.nthreads().values())):
+            submit_next()
         try:
-            for future in distributed.as_completed(futures, loop=client.loop):
+            for future in done:
                 failure = future.exception()
-                yield numbers[future.key], future.result() if failure is None else _plain(failure)
+                number = numbers[future.key]
+                yield number, future.result() if failure is None else _plain(failure)
+                submit_next()
         finally:  # whoever stops listening wants no more work done
-            client.cancel(futures)
+            client.cancel(list(done.futures))
 
 
 def _measure(source: ScanSource, work: Work) -> ScanResult:

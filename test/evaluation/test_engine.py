@@ -153,6 +153,22 @@ def test_several_processes_give_the_same_figures(tmp_path):
     assert set(alone.pictures) == set(shared.pictures)
 
 
+@pytest.mark.slow
+def test_a_worker_that_dies_fails_its_scan_alone():
+    """Four scans and two workers, one of which is ended by the second scan, as for want of memory."""
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    dying = ScanSource("dying", lambda: os._exit(1))
+    names = ("a", "dying", "c", "d")
+    sources = [dying if name == "dying" else ScanSource(name, functools.partial(str, name)) for name in names]
+    # Functions of this file cannot be found by another process, a lambda goes there whole.
+    work = lambda scan: ScanResult([{"volume": scan}])  # noqa: E731
+    result = run_volumes(
+        sources, work, BenchmarkRequest(device="cpu", workers=2), name="test", configuration=SETTINGS
+    )  # fmt: skip
+    assert [row["volume"] for row in result.rows] == ["a", "c", "d"]
+    assert any(note.startswith("dying is left out: KilledWorker") for note in result.notes)
+
+
 def test_a_cluster_that_cannot_be_used_is_said(monkeypatch):
     """No scheduler at the address, one without workers, and one whose workers run other code."""
     distributed = pytest.importorskip("distributed", reason="Dask is not installed")
