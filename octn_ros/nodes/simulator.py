@@ -96,6 +96,12 @@ class Simulator(Node):
         self._reports.show_removed()
         self._reports.say(status.OK, f"ready: {config.volume_file or phantom.name}, {shape} voxels")
 
+    def destroy_node(self) -> None:
+        """Turn the laser off and end the record of an execution that still runs, then the node."""
+        with self._lock:
+            self._station.stop("the node was ended", self._now_ns(), self._config.config().time_factor)
+        super().destroy_node()
+
     # --- scanner
 
     def _scan(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,10 @@ from nav_msgs.srv import GetPlan, LoadMap
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage
-from std_srvs.srv import Trigger
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
 
+from octn_ros import embedded
 from octn_ros.nodes import qos, status
 from octn_ros.simulation import PhantomConfig, make_phantom
 from octn_ros.volume import Volume, save_volume
@@ -23,6 +26,11 @@ from octn_ros.volume import Volume, save_volume
 START_S, FIT_S, ANSWER_S = 60.0, 60.0, 30.0
 SHAPE = (24, 64, 64)
 SMALL_FIT = ("fit.steps:=100", "fit.batch:=4096", "fit.time_budget_s:=0.0", "fit.field.grid.log2_table_size:=15")
+SIMULATOR = (
+    f"phantom.shape:={list(SHAPE)}", "phantom.surface:=tilted", "bscan_period_s:=0.001", "time_factor:=1.0",
+    "laser.dwell_s:=0.2",
+)  # fmt: skip
+LOST_S = 2.0 if embedded.install() else 15.0  # DDS takes ten seconds to miss a node that was killed
 OCT = "oct_optical_frame"
 
 
@@ -39,9 +47,10 @@ class Graph:
         self.nodes = {name: self.start(name) for name in ("trainer", "planner", "query")}
 
     def start(self, name: str) -> Any:
-        given: tuple[str, ...] = ("device:=cpu",)
+        given: tuple[str, ...] = ("device:=cpu",) if name != "simulator" else SIMULATOR
         if name == "trainer":
-            given += (f"data_root:={self.folder}", f"field_path:={self.folder / 'kept.zip'}", *SMALL_FIT)
+            given += (f"data_root:={self.folder}", f"bscan_count:={SHAPE[0]}", "spacing_um:=[28.0, 14.59, 14.0]")
+            given += (f"field_path:={self.folder / 'kept.zip'}", *SMALL_FIT)
         return self.launch(name, *given)
 
     def restart(self, name: str) -> int:
@@ -169,3 +178,25 @@ def test_planner_and_query_that_are_killed_get_the_latched_field_and_answer(grap
     assert len(graph.field.messages) == fields, "the trainer had nothing to publish again"
     for node in graph.nodes.values():
         node.end()
+
+
+@pytest.mark.slow
+def test_the_laser_is_off_when_the_planner_is_killed_in_an_execution(graph: Graph) -> None:
+    execution = graph.client.watch(DiagnosticArray, "execution_status")
+    laser_on = graph.client.watch(Bool, "laser_on")
+    graph.start("simulator")
+    execution.wait(START_S)
+    graph.client.wait_for(
+        lambda: graph.client.call(Trigger, "scan", Trigger.Request(), START_S).success, START_S, "scan"
+    )
+    graph.planned.wait(FIT_S, lambda message: values(message).get("field_kind") == "neural")
+    assert graph.ask("plan_raster").poses
+    execution.wait(ANSWER_S, lambda message: values(message)["state"] == "staged")
+    assert graph.client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S).success
+    assert graph.client.call(Trigger, "execute", Trigger.Request(), ANSWER_S).success
+    laser_on.wait(ANSWER_S, lambda message: message.data)
+    graph.nodes["planner"].kill()
+    lost = time.monotonic()
+    execution.wait(ANSWER_S, lambda message: values(message)["state"] == "aborted")
+    assert time.monotonic() - lost < LOST_S
+    graph.client.wait_for(lambda: laser_on.messages[-1].data is False, ANSWER_S, "laser_on: false")
