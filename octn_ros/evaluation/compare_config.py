@@ -40,5 +40,10 @@ class CompareBenchConfig:
 
 
 QUICK = CompareBenchConfig(
-    phantoms=("wavy-13dB-averaged",), shape=(33, 96, 64), seconds=2.0, samples=1 << 15, judged_bscans=8
+    phantoms=("wavy-13dB-averaged",),
+    shape=(33, 96, 64),
+    seconds=1.5,
+    samples=1 << 15,
+    paper_batch=1 << 11,
+    judged_bscans=8,
 )

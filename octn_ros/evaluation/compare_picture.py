@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from octn_ros.demo import canvas
 from octn_ros.volume import VolumeGeometry
 
-_COLUMNS = 4
+_COLUMNS = 5
 
 
 def compare_picture(title: str, images: Mapping[str, NDArray[np.float32]], geometry: VolumeGeometry) -> bytes:
-    """Draw B-scans [axial, lateral] by name, to scale, four beside each other."""
+    """Draw B-scans [axial, lateral] by name, to scale, five beside each other."""
     x0, x1, _, _, z0, z1 = canvas.edges_mm(geometry)
     rows = -(-len(images) // _COLUMNS)
     height = rows * (canvas.height_in(_COLUMNS, x1 - x0, z1 - z0, 0) - 0.4) + 0.4
