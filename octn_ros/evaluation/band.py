@@ -139,7 +139,8 @@ def _of_scan(scan: BenchScan, config: BandBenchConfig, fit_config: FitConfig, de
                 row |= {key: getattr(answer, key) for key in _SECONDS} | _ratios(answers, answer)
                 if way == EXHAUSTIVE:
                     row |= _distance(answer.points_m, voxels, "")
-                    row |= {f"paper_{key}": value for key, value in (paper | _PAPER_ALL).items()}
+                    stated = {key: value for key, value in _PAPER_ALL.items() if key in row}
+                    row |= {f"paper_{key}": value for key, value in (paper | stated).items()}
                     row["fit_psnr_db"] = fitted.psnr_db
                 if truth is not None and way in (EXHAUSTIVE, CPU):
                     row |= _distance(answer.points_m, truth, "truth_")

@@ -17,6 +17,7 @@ import torch
 import octn_ros
 
 _PACKAGES = ("numpy", "scipy", "torch", "scikit-image", "nibabel")
+_WITHOUT_FIGURES = ("commands", "embedded", "nodes")  # no benchmark runs their code
 _CPU_INFO = Path("/proc/cpuinfo")
 
 
@@ -62,10 +63,12 @@ def git_commit(folder: Path) -> str | None:
 
 @lru_cache(maxsize=1)
 def code_hash() -> str:
-    """Return a hash of this package's source files, which tells what a commit cannot: changes that are in none."""
+    """Return a hash of the source files that figures can depend on, changes that are in no commit included."""
     package = Path(octn_ros.__file__).parent
     content = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
+        if path.relative_to(package).parts[0] in _WITHOUT_FIGURES:
+            continue
         content.update(f"{path.relative_to(package)}\0".encode())
         content.update(path.read_bytes())
     return content.hexdigest()

@@ -84,6 +84,28 @@ def test_the_commit_tells_a_dirty_checkout(tmp_path):
     assert git_commit(tmp_path) == f"{commit}-dirty"
 
 
+def test_code_is_told_by_its_files(tmp_path, monkeypatch):
+    """A changed or a renamed source file is other code; a node or a cache file changes no figure."""
+    from octn_ros.evaluation import environment as module
+
+    for name in ("octn_ros/field/grid.py", "octn_ros/nodes/trainer.py", "octn_ros/__init__.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("one")
+    monkeypatch.setattr(module.octn_ros, "__file__", str(tmp_path / "octn_ros" / "__init__.py"))
+
+    def hashed():
+        return module.code_hash.__wrapped__()
+
+    first = hashed()
+    (tmp_path / "octn_ros/nodes/trainer.py").write_text("two")
+    (tmp_path / "octn_ros/field/grid.nbi").write_text("two")
+    assert hashed() == first
+    (tmp_path / "octn_ros/field/grid.py").write_text("two")
+    second = hashed()
+    (tmp_path / "octn_ros/field/grid.py").rename(tmp_path / "octn_ros/field/cells.py")
+    assert len({first, second, hashed()}) == 3
+
+
 def test_the_benchmarks_named_are_the_benchmarks_there_are():
     assert set(BENCHMARK_NAMES) == set(MODULES)
     for name in MODULES:
