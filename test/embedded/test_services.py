@@ -6,6 +6,7 @@ import pytest
 from nav_msgs.srv import GetPlan
 from rclpy.exceptions import InvalidServiceNameException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 WAIT_SEC = 20.0
@@ -114,3 +115,28 @@ def test_a_query_that_no_ros_client_sent_is_passed_over(nodes, spin_until):
     spin_until(future.done, node)
     assert future.result().success
     assert not foreign
+
+
+def test_requests_that_wait_are_bounded_and_the_oldest_give_way(nodes, spin_until):
+    node, served = nodes("alpha"), []
+
+    def plan(request, response):
+        served.append(request.tolerance)
+        return response
+
+    service = node.create_service(GetPlan, "plan", plan)
+    client = node.create_client(GetPlan, "plan")
+    assert service.qos_profile.depth == 10
+    calls = [client.call_async(GetPlan.Request(tolerance=float(number))) for number in range(100)]
+    spin_until(calls[-1].done, node)
+    assert served == [float(number) for number in range(90, 100)], "nobody spun, so ten waited"
+    assert [call.done() for call in calls] == [False] * 90 + [True] * 10
+
+
+def test_a_deeper_profile_keeps_a_hundred_requests(nodes, spin_until):
+    node = nodes("alpha")
+    node.create_service(SetBool, "flip", flip, qos_profile=QoSProfile(depth=100))
+    client = node.create_client(SetBool, "flip")
+    calls = [client.call_async(SetBool.Request(data=False)) for _ in range(100)]
+    spin_until(lambda: all(call.done() for call in calls), node)
+    assert all(call.result().success for call in calls)

@@ -204,7 +204,7 @@ class Node(NodeGraph, NodeParameters):
         """
         refuse_arguments("Node.create_subscription", lacking)
         name, qos = self.resolve_topic_name(topic), _profile(qos_profile)
-        inbox = Inbox(self, None if qos.history == HistoryPolicy.KEEP_ALL else qos.depth or DEFAULT_DEPTH)
+        inbox = Inbox(self, _depth(qos))
         endpoint = transport.SubscriptionEndpoint(self._endpoint, name, _type_name(msg_type), qos, inbox)
         group = callback_group or self.default_callback_group
         return self._keep(Subscription(endpoint, msg_type, topic, callback, group, raw))
@@ -228,12 +228,16 @@ class Node(NodeGraph, NodeParameters):
     ) -> Service:
         """Return a new service; `callback` gets request and an empty response and returns the response.
 
+        Of requests that wait, as many are kept as the profile's depth says, 10 by default; as with rmw_zenoh the oldest
+        gives way to a new one, and its client gets no answer.
+
         Raises:
             InvalidServiceNameException: ROS does not allow the name.
             RuntimeError: `srv_type` is no service class of this runtime.
         """
         name = self.resolve_service_name(srv_name)
-        endpoint = transport.ServiceEndpoint(self._endpoint, name, _type_name(srv_type), qos_profile, Inbox(self))
+        inbox = Inbox(self, _depth(qos_profile))
+        endpoint = transport.ServiceEndpoint(self._endpoint, name, _type_name(srv_type), qos_profile, inbox)
         group = callback_group or self.default_callback_group
         return self._keep(Service(endpoint, srv_type, srv_name, callback, group))
 
@@ -295,6 +299,11 @@ def _profile(qos: QoSProfile | int) -> QoSProfile:
     if not isinstance(qos, int):
         raise TypeError(f"Expected QoSProfile or int, but received {type(qos)!r}")
     return QoSProfile(depth=qos)
+
+
+def _depth(qos: QoSProfile) -> int | None:
+    """Return how many messages or requests a profile keeps, None for all."""
+    return None if qos.history == HistoryPolicy.KEEP_ALL else qos.depth or DEFAULT_DEPTH
 
 
 def _type_name(interface: Any) -> str:
