@@ -126,7 +126,7 @@ class _Loop:
         self._fit_budget_s = fit_budget_s
         self._watch = Stopwatch()
         self._fit_progress = client.watch(DiagnosticArray, "fit_progress", qos.LATCHED)
-        self._field = client.watch(CompressedImage, "field")
+        self._field = client.watch(CompressedImage, "field", keep=1)
         self._plan_status = client.watch(DiagnosticArray, "plan_status")
         self._execution = client.watch(DiagnosticArray, "execution_status")
         self._removed = client.watch(Image, "removed_depth")

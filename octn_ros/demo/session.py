@@ -137,7 +137,7 @@ class Ears:
 
     def __init__(self, client: GraphClient) -> None:
         self.fit_progress = client.watch(DiagnosticArray, "fit_progress", qos.STREAM)
-        self.field = client.watch(CompressedImage, "field")
+        self.field = client.watch(CompressedImage, "field", keep=1)
         self.plan_status = client.watch(DiagnosticArray, "plan_status")
         self.waypoints = client.watch(PoseArray, "waypoints")
         self.waypoints_oct = client.watch(PoseArray, "waypoints_oct")

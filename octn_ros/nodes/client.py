@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -21,16 +22,23 @@ _GRAPH_PERIOD_S = 0.02  # rclpy tells nobody when the graph changes, so it is lo
 
 
 class Watch(Generic[Message]):
-    """Everything that was heard on one topic since it is watched; safe from any thread."""
+    """What was heard on one topic since it is watched; safe from any thread.
 
-    def __init__(self, topic: str, publishers: Callable[[], int]) -> None:
+    Args:
+        topic: its name.
+        publishers: tells how many publishers are connected.
+        keep: so many of the last messages are kept, None for all of them.
+    """
+
+    def __init__(self, topic: str, publishers: Callable[[], int], keep: int | None = None) -> None:
         self._topic, self._publishers = topic, publishers
-        self._messages: list[Message] = []
+        self._messages: deque[Message] = deque(maxlen=keep)
+        self._heard = 0
         self._condition = threading.Condition()
 
     @property
     def messages(self) -> list[Message]:
-        """The messages so far, oldest first."""
+        """The messages so far that are kept, oldest first."""
         with self._condition:
             return list(self._messages)
 
@@ -38,17 +46,18 @@ class Watch(Generic[Message]):
         """Take a message; the subscription's callback."""
         with self._condition:
             self._messages.append(message)
+            self._heard += 1
             self._condition.notify_all()
 
     def wait(
         self, timeout_s: float, accept: Callable[[Message], bool] = lambda message: True, *, after: int = 0
     ) -> Message:
-        """Return the first message, heard already or still to come, that `accept` says yes to.
+        """Return the first message, kept already or still to come, that `accept` says yes to.
 
         Args:
             timeout_s: for it to come.
             accept: asked for each message once, in their order.
-            after: so many of the first messages do not count.
+            after: so many of the first messages that were heard do not count.
 
         Raises:
             TimeoutError: names the topic and how many other messages came.
@@ -57,10 +66,11 @@ class Watch(Generic[Message]):
         seen = after
         with self._condition:
             while True:
-                for message in self._messages[seen:]:
+                gone = self._heard - len(self._messages)
+                for message in list(self._messages)[max(seen - gone, 0) :]:
                     if accept(message):
                         return message
-                seen = max(seen, len(self._messages))
+                seen = max(seen, self._heard)
                 left = deadline - time.monotonic()
                 if left <= 0.0:
                     raise TimeoutError(f"{self._topic}: {timeout_s:g} s passed, {seen} messages came, none as awaited")
@@ -127,6 +137,7 @@ class GraphClient:
         future = client.call_async(request)
         future.add_done_callback(lambda done: answered.set())
         if not answered.wait(timeout_s):
+            client.remove_pending_request(future)  # else each lost request is kept for good
             raise TimeoutError(f"service {name}: no answer after {timeout_s:g} s")
         return future.result()
 
@@ -138,10 +149,17 @@ class GraphClient:
         """
         wait_graph(happened, timeout_s, f"{what}: not there")
 
-    def watch(self, kind: Any, topic: str, profile: QoSProfile = qos.LATCHED) -> Watch[Any]:
-        """Collect what is heard on a topic from now on, and its latched message if it has one."""
+    def watch(self, kind: Any, topic: str, profile: QoSProfile = qos.LATCHED, *, keep: int | None = None) -> Watch[Any]:
+        """Collect what is heard on a topic from now on, and its latched message if it has one.
+
+        Args:
+            kind: the message's type.
+            topic: its name, relative to the namespace.
+            profile: quality of service.
+            keep: so many of the last messages are kept, None for all; large ones, such as fields, fill the memory.
+        """
         subscription: list[Any] = []
-        watch: Watch[Any] = Watch(topic, lambda: subscription[0].get_publisher_count())
+        watch: Watch[Any] = Watch(topic, lambda: subscription[0].get_publisher_count(), keep)
         subscription.append(self.node.create_subscription(kind, topic, watch.add, profile))
         return watch
 
