@@ -10,11 +10,10 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchContext, LaunchDescription
-from octn_ros.simulation import PhantomConfig
-from octn_ros.volume import VolumeGeometry, load_volume
+from octn_ros.nodes.params_files import read_parameters, simulated_scan
 
 ARGUMENTS = {
-    "volume": "C-scan (any file that octn info reads) that the scanner plays; empty = the default phantom",
+    "volume": "C-scan (any file that octn info reads) that the scanner plays; empty = as params_file says",
     "spacing_um": "voxel spacing of volume in micrometres, if the file does not state it: BSCAN AXIAL LATERAL",
     "calibration": "calibration file (YAML) instead of the package's",
     "device": "where fields are fitted and evaluated: auto, cpu, cuda, cuda:1, ...",
@@ -45,8 +44,11 @@ def _actions(context: LaunchContext) -> list[Node | IncludeLaunchDescription]:
         name: LaunchConfiguration(name).perform(context) for name in ("namespace", "params_file", "rviz", *ARGUMENTS)
     }
     spacing_um = [float(number) for number in given["spacing_um"].replace(",", " ").split()]
-    scanned = _geometry(given["volume"], spacing_um)
-    simulator = {"volume_file": given["volume"]}
+    node = "/".join(["", *filter(None, given["namespace"].split("/")), "simulator"])
+    scanned = simulated_scan(read_parameters(given["params_file"], node), given["volume"], tuple(spacing_um))
+    simulator = {}
+    if given["volume"]:
+        simulator["volume_file"] = given["volume"]
     if spacing_um:
         simulator["spacing_um"] = spacing_um
     if given["calibration"]:
@@ -64,17 +66,7 @@ def _actions(context: LaunchContext) -> list[Node | IncludeLaunchDescription]:
             package="octn_ros",
             executable="simulator",
             namespace=given["namespace"],
-            parameters=[given["params_file"], simulator],
+            parameters=[given["params_file"], *filter(None, [simulator])],
             output="screen",
         ),
     ]
-
-
-def _geometry(volume: str, spacing_um: list[float]) -> VolumeGeometry:
-    if not volume:
-        phantom = PhantomConfig()
-        return VolumeGeometry(phantom.shape, phantom.spacing_m)
-    if spacing_um:
-        bscan, axial, lateral = spacing_um
-        return load_volume(volume, (bscan, axial, lateral)).geometry
-    return load_volume(volume).geometry
