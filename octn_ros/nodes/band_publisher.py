@@ -77,9 +77,13 @@ class BandPublisher:
         Raises:
             OctnError: there is no field, the region does not touch the scan, or there are too many points.
         """
-        text = self._publish(lambda: None)
-        self._asked = True
-        return text
+        with self._lock:
+            before, self._asked = self._asked, True  # first, so that a field that comes meanwhile refreshes the band
+            try:
+                return self._publish(lambda: None)
+            except Exception:
+                self._asked = before
+                raise
 
     def refresh(self) -> None:
         """Publish the band again if it was ever asked for, beside the caller; of many such calls the last one counts.
@@ -95,6 +99,8 @@ class BandPublisher:
 
     def _again(self, look: Callable[[], None]) -> None:
         with self._lock:
+            if not self._asked:  # the first question was refused meanwhile
+                return
             try:
                 self._publish(look)
             except Exception:

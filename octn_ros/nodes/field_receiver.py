@@ -74,7 +74,8 @@ class FieldReceiver:
         node: the node that listens.
         device: where the field is put.
         received: called with each new field.
-        refused: called with the reason why a message was not accepted and what is left, as a sentence.
+        refused: called with the reason why a message was not accepted and what is left, as a sentence, and whether
+            the message was of another scan than the field that is kept, so that plans on it are out of date.
         group: callback group of the subscription; one that `plan` services share never mixes two fields.
     """
 
@@ -83,11 +84,11 @@ class FieldReceiver:
         node: Node,
         device: torch.device,
         received: Callable[[ReceivedField], None],
-        refused: Callable[[str], None],
+        refused: Callable[[str, bool], None],
         group: CallbackGroup,
     ) -> None:
         self._device, self._received, self._refused = device, received, refused
-        self._requirements = ConfigParameters(node, FieldRequirements())
+        self._requirements = ConfigParameters(node, FieldRequirements(), read_only=("largest_field_mb",))
         self._current: ReceivedField | None = None
         node.create_subscription(CompressedImage, "field", self._on_field, qos.LATCHED, callback_group=group)
 
@@ -119,7 +120,8 @@ class FieldReceiver:
             self._current = last
             kept = "the last one is kept" if last else "there is none"
             reason = str(error) if isinstance(error, OctnError) else f"{type(error).__name__}: {error}"
-            self._refused(f"field refused, {kept}: {reason}")
+            outdated = last is not None and conversions.stamp_to_ns(message.header.stamp) != last.stamp_ns
+            self._refused(f"field refused, {kept}: {reason}", outdated)
 
     def _checked(self, message: CompressedImage) -> ReceivedField:
         requirements = self._requirements.config()

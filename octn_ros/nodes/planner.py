@@ -65,15 +65,21 @@ class PlannerNodeConfig:
         check_settings(self)
 
 
+# Given at the start only: who can call services raises no limit, and moves no keep-out region.
+READ_ONLY = ("device", "calibration", "keep_out", "largest_plan")
+
+
 class Planner(Node):
-    """Plans rasters over the present field on request, and withdraws the plan when a new field comes.
+    """Plans rasters over the present field on request.
+
+    The plan is withdrawn when a new field comes, also a refused one of a new scan, or another pose of its own scan.
 
     Keyword arguments other than the namespace are those of `rclpy.node.Node`.
     """
 
     def __init__(self, *, namespace: str = "octn", **options: Any) -> None:
         super().__init__("planner", namespace=namespace, **options)
-        self._config = ConfigParameters(self, PlannerNodeConfig(), read_only=("device", "calibration", "keep_out"))
+        self._config = ConfigParameters(self, PlannerNodeConfig(), read_only=READ_ONLY)
         config = self._config.config()
         self._planner_config = ConfigParameters(self, PlannerConfig())
         self._region_config = ConfigParameters(self, RegionConfig(), "region")
@@ -90,7 +96,7 @@ class Planner(Node):
         group = MutuallyExclusiveCallbackGroup()
         device = torch_device(config.device)
         self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
-        self._scan_poses = ScanPoses(self, self._calibration.base_frame, group)
+        self._scan_poses = ScanPoses(self, self._calibration.base_frame, group, self._on_other_pose)
         self.create_service(GetPlan, "plan_raster", self._plan_raster, qos_profile=qos.SERVICES, callback_group=group)
         self.create_service(Trigger, "replan", self._replan, qos_profile=qos.SERVICES, callback_group=group)
         self.get_logger().info(
@@ -116,10 +122,23 @@ class Planner(Node):
         else:
             self._status.report(status.OK, "a field has come; ready to plan", of_field)
 
-    def _on_bad_field(self, reason: str) -> None:
+    def _on_bad_field(self, reason: str, outdated: bool) -> None:
         kept = self._fields.current
+        if kept is not None and outdated and self._publisher.stands:
+            self._publisher.withdraw(kept)
+            self._view.clear(kept)
+            reason += "; the plan on the last one is withdrawn, for there is a newer scan"
         self._status.report(status.ERROR, reason, {"state": "refused", **(self._told(kept) if kept else {})})
         self._diagnostics.failed(reason)
+
+    def _on_other_pose(self, stamp_ns: int) -> None:
+        received = self._fields.current
+        if received is None or received.stamp_ns != stamp_ns or not self._publisher.stands:
+            return
+        self._publisher.withdraw(received)
+        self._view.clear(received)
+        reason = "a nearer pose of the scan has come; the plan placed by the last one is withdrawn"
+        self._status.report(status.WARN, reason, {"state": "ready", **self._told(received)})
 
     def _on_bad_view(self, reason: str) -> None:
         self.get_logger().error(f"the plan cannot be shown: {reason}")

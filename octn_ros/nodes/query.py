@@ -47,7 +47,8 @@ class Query(Node):
     def __init__(self, *, namespace: str = "octn", **options: Any) -> None:
         super().__init__("query", namespace=namespace, **options)
         self._config = ConfigParameters(self, QueryNodeConfig(), read_only=("device", "calibration"))
-        self._limits = ConfigParameters(self, QueryLimits(), "limits")
+        # Given at the start only: who can call services raises no limit.
+        self._limits = ConfigParameters(self, QueryLimits(), "limits", read_only=True)
         self._search_config = ConfigParameters(self, SurfaceSearchConfig(), "search")
         # Normals are found as the planner finds them; where the focus would lie is not asked here.
         placing = {setting.name for setting in dataclasses.fields(WaypointConfig)} - {"normal_radius_voxels"}
@@ -66,7 +67,7 @@ class Query(Node):
         self._surface = SurfacePublisher(self, self._surface_config.config, self._failed)
         # Each answer takes the present field once, so no answer mixes two fields.
         services, points, fields = (MutuallyExclusiveCallbackGroup() for _ in range(3))
-        self._fields = FieldReceiver(self, device, self._on_field, self._failed, fields)
+        self._fields = FieldReceiver(self, device, self._on_field, lambda reason, _: self._failed(reason), fields)
         self._scan_poses = ScanPoses(self, self._calibration.base_frame, fields)
         self._band = BandPublisher(
             self,
@@ -116,7 +117,7 @@ class Query(Node):
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         changed = {parameter.name.partition(".")[0] for parameter in parameters}
-        if changed & {"band", "band_region", "limits"}:
+        if changed & {"band", "band_region"}:
             self._band.refresh()
         received = self._fields.current
         if "surface" in changed and received is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
@@ -21,10 +23,17 @@ class ScanPoses:
         node: the node that listens.
         base_frame: the frame in which poses are expected, the robot's base.
         group: callback group of the subscription.
+        changed: told the time of a scan whose pose, known before, is now another one.
     """
 
-    def __init__(self, node: Node, base_frame: str, group: CallbackGroup) -> None:
-        self._node, self._base_frame = node, base_frame
+    def __init__(
+        self,
+        node: Node,
+        base_frame: str,
+        group: CallbackGroup,
+        changed: Callable[[int], None] = lambda stamp_ns: None,
+    ) -> None:
+        self._node, self._base_frame, self._changed = node, base_frame, changed
         self._poses: dict[int, NDArray[np.float64]] = {}
         node.create_subscription(PoseStamped, "scan_ee_pose", self._on_pose, qos.LATCHED, callback_group=group)
 
@@ -43,6 +52,10 @@ class ScanPoses:
         except OctnError as error:
             self._node.get_logger().error(f"scan_ee_pose ignored: {error}")
             return
-        poses = {**self._poses, conversions.stamp_to_ns(message.header.stamp): pose}
+        stamp_ns = conversions.stamp_to_ns(message.header.stamp)
+        before = self._poses.get(stamp_ns)
+        poses = {**self._poses, stamp_ns: pose}
         # Replaced, never changed: other threads read it.
         self._poses = dict(list(poses.items())[-KEPT:])
+        if before is not None and not np.array_equal(before, pose):
+            self._changed(stamp_ns)

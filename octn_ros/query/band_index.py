@@ -13,7 +13,8 @@ from octn_ros.query.lattice import SLAB_POINTS, Lattice
 
 # Voxels of a block along every axis.
 BLOCK = 8
-# A larger scan is asked anew each time: its samples would take more than 1 GiB.
+# A larger scan is asked anew each time: its samples would take more than 1 GiB. While a question on the last field is
+# still being answered, its index lives beside that of the new one: 2 GiB at most, for one such change.
 LARGEST_INDEX = 1 << 28
 
 Box = tuple[slice, slice, slice]

@@ -47,7 +47,7 @@ class Bench:
         self.waypoints = client.watch(PoseArray, "waypoints")
         self.field = client.node.create_publisher(CompressedImage, "field", qos.LATCHED)
         self.scan_ee_pose = client.node.create_publisher(PoseStamped, "scan_ee_pose", qos.LATCHED)
-        spin(Planner, device="cpu", **parameters)
+        self.planner = spin(Planner, device="cpu", **parameters)
         spin(Query, device="cpu")
 
     def ask(self, service: str, frame: str = OCT, tolerance: float = 0.0) -> Any:
@@ -150,6 +150,53 @@ def test_replan_takes_everything_from_the_parameters(spin: Callable[..., Any], c
     assert lines == 4
     assert (rows["laser_on"] == 0).sum() == 2 * lines
     assert np.isnan(rows["residual"][rows["laser_on"] == 0]).all()
+
+
+def test_a_refused_field_of_a_newer_scan_withdraws_the_plan_and_one_of_the_same_scan_does_not(
+    spin: Callable[..., Any], client: Any, flat_field: bytes
+) -> None:
+    bench = Bench(spin, client, **LEADING)
+    bench.field.publish(conversions.to_field_message(flat_field, STAMP_NS, OCT))
+    bench.until("ready to plan")
+    assert client.call(Trigger, "replan", Trigger.Request(), TIMEOUT_S).success
+    bench.waypoints.wait(TIMEOUT_S, lambda message: len(message.poses) > 0)
+    bench.field.publish(conversions.to_field_message(flat_field[:-10], STAMP_NS, OCT))
+    bench.until("field refused, the last one is kept", "truncated")
+    assert bench.waypoints.messages[-1].poses
+    bench.field.publish(conversions.to_field_message(flat_field, STAMP_NS + 1, OCT))
+    assert bench.until("field refused", "is withdrawn, for there is a newer scan")["state"] == "refused"
+    bench.waypoints.wait(TIMEOUT_S, lambda message: not message.poses)
+
+
+def test_another_pose_of_the_same_scan_withdraws_the_plan_that_was_placed_by_the_last(
+    spin: Callable[..., Any], client: Any, flat_field: bytes
+) -> None:
+    bench = Bench(spin, client, **LEADING)
+    in_base = client.watch(PoseArray, "waypoints_base")
+    told = [from_translation_quaternion((x_m, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)) for x_m in (0.4, 0.401)]
+
+    def tell(pose: np.ndarray) -> None:
+        bench.scan_ee_pose.publish(conversions.matrix_to_pose_stamped(pose, STAMP_NS, "base_link"))
+
+    def plan() -> Any:
+        seen = len(in_base.messages)
+        assert client.call(Trigger, "replan", Trigger.Request(), TIMEOUT_S).success
+        return in_base.wait(TIMEOUT_S, lambda message: len(message.poses) > 0, after=seen)
+
+    client.wait_for(lambda: bench.scan_ee_pose.get_subscription_count() == 2, TIMEOUT_S, "planner and query")
+    tell(told[0])
+    bench.field.publish(conversions.to_field_message(flat_field, STAMP_NS, OCT))
+    bench.until("ready to plan")
+    client.wait_for(lambda: bench.planner._scan_poses.ee2base(STAMP_NS) is not None, TIMEOUT_S, "the pose")
+    first = plan()
+    tell(told[0])  # said again it changes nothing
+    tell(told[1])
+    assert bench.until("a nearer pose of the scan has come", "withdrawn")["state"] == "ready"
+    bench.waypoints.wait(TIMEOUT_S, lambda message: not message.poses)
+    in_base.wait(TIMEOUT_S, lambda message: not message.poses)
+    assert len([message for message in bench.waypoints.messages if not message.poses]) == 1
+    second = plan()
+    assert second.poses[0].position.x - first.poses[0].position.x == pytest.approx(1e-3)
 
 
 def test_a_plan_through_a_keep_out_region_is_refused_and_not_published(

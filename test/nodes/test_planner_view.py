@@ -260,7 +260,9 @@ def test_a_field_that_is_here_already_withdraws_no_plan(spin: Callable[..., Any]
     bench.give(data, stamp_ns=STAMP_NS + 1)
     bench.until("field refused", "name its scan")
     assert len(bench.status.messages) == planned + 1
-    assert all(message.poses for message in bench.waypoints.messages)
+    bench.waypoints.wait(TIMEOUT_S, lambda message: not message.poses)
+    # The second one's stamp says that there is a newer scan, though it is refused; the first one withdrew nothing.
+    assert [bool(message.poses) for message in bench.waypoints.messages] == [True, False]
 
 
 def test_a_plan_larger_than_allowed_is_refused_before_it_is_searched(
@@ -271,7 +273,13 @@ def test_a_plan_larger_than_allowed_is_refused_before_it_is_searched(
     bench.until("ready to plan")
     assert not bench.replan().success
     assert bench.until("replan refused", "largest_plan", "36")["state"] == "refused"
-    assert bench.set("largest_plan", 36).successful
+    assert "read-only" in bench.set("largest_plan", 36).reason
+
+
+def test_a_plan_as_large_as_allowed_is_made(spin: Callable[..., Any], client: Any, volume: Volume) -> None:
+    bench = Bench(spin, client, **RASTER, largest_plan=36)
+    bench.give(dumps_field(InterpolatedField(volume)))
+    bench.until("ready to plan")
     assert bench.replan().success
     assert len(bench.waypoints.wait(TIMEOUT_S).poses) == 36
 

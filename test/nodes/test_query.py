@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -19,7 +20,7 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_srvs.srv import Trigger
 
 from octn_ros.field import InterpolatedField, dumps_field
-from octn_ros.nodes import conversions, qos, status
+from octn_ros.nodes import band_publisher, conversions, qos, status
 from octn_ros.nodes.point_answers import CLICKED_TOPIC, COLUMNS
 from octn_ros.nodes.query import Query
 from octn_ros.planning import from_translation_quaternion, load_calibration
@@ -205,12 +206,61 @@ def test_a_band_of_the_last_field_does_not_outlive_it(bench: Bench) -> None:
     count = int((newer.array >= np.float32(0.6)).sum())
     of_newer = bands.wait(TIMEOUT_S, lambda message: message.header == conversions.header(STAMP_NS + 1, OCT))
     assert of_newer.width == count
-    assert bench.set(("limits.band_points", 10))[0].successful
-    assert bands.wait(TIMEOUT_S, lambda message: message.width == 0).header == of_newer.header
-    bench.until("the band is withdrawn", "at most 10 points")
+
+
+def test_a_band_of_too_many_points_is_withdrawn(spin: Callable[..., Any], client: Any) -> None:
+    bench = Bench(spin, client, limits__band_points=1000)
+    bands = client.watch(PointCloud2, "band")
+    assert bench.set(("band.low", 0.9))[0].successful
+    bench.give(cubic_volume(noise))
+    assert bench.band().success
+    assert bands.wait(TIMEOUT_S).width > 0
+    assert bench.set(("band.low", 0.1))[0].successful
+    assert bands.wait(TIMEOUT_S, lambda message: message.width == 0).header == conversions.header(STAMP_NS, OCT)
+    bench.until("the band is withdrawn", "at most 1,000 points")
     answer = bench.band()
     assert not answer.success
-    assert "at most 10 points" in answer.message
+    assert "at most 1,000 points" in answer.message
+
+
+def test_a_field_that_comes_during_the_first_question_for_the_band_is_answered_for_too(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started, held = threading.Event(), threading.Event()
+
+    def slow(*arguments: Any, **options: Any) -> Any:
+        started.set()
+        assert held.wait(TIMEOUT_S)
+        return find_band(*arguments, **options)
+
+    monkeypatch.setattr(band_publisher, "find_band", slow)
+    bands = bench.client.watch(PointCloud2, "band")
+    bench.give(cubic_volume(noise))
+    asked = threading.Thread(target=bench.band)
+    asked.start()
+    assert started.wait(TIMEOUT_S)
+    bench.give(cubic_volume(noise, STAMP_NS + 1))
+    held.set()
+    asked.join(TIMEOUT_S)
+    bands.wait(TIMEOUT_S, lambda message: message.header == conversions.header(STAMP_NS + 1, OCT))
+
+
+def test_a_band_whose_first_question_was_refused_is_not_published_later(bench: Bench) -> None:
+    bands = bench.client.watch(PointCloud2, "band")
+    assert not bench.band().success
+    bench.give(cubic_volume(noise))
+    assert bench.band().success
+    first = bands.wait(TIMEOUT_S)
+    assert bench.band().success
+    bands.wait(TIMEOUT_S, after=1)
+    assert [message.header for message in bands.messages] == [first.header] * 2
+
+
+@pytest.mark.parametrize("name", ["limits.band_points", "limits.points", "limits.slice_pixels", "largest_field_mb"])
+def test_who_can_call_services_raises_no_limit(bench: Bench, name: str) -> None:
+    (result,) = bench.set((name, 2000))
+    assert not result.successful
+    assert "read-only" in result.reason
 
 
 def ee2base() -> np.ndarray:
@@ -279,7 +329,8 @@ def test_points_are_answered_in_the_frame_they_are_asked_in(bench: Bench, frame:
     assert np.isnan(rows[outside, 3:]).all()
 
 
-def test_a_cloud_that_cannot_be_answered_is_refused_in_words(bench: Bench) -> None:
+def test_a_cloud_that_cannot_be_answered_is_refused_in_words(spin: Callable[..., Any], client: Any) -> None:
+    bench = Bench(spin, client, limits__points=6)
     asker = Asker(bench)
     points = np.tile(ORIGIN_M, (5, 1))
     asker.points.publish(double_cloud(points, OCT))
@@ -293,9 +344,8 @@ def test_a_cloud_that_cannot_be_answered_is_refused_in_words(bench: Bench) -> No
     cut.data = conversions.to_bytes_field(bytes(cut.data)[:-1])
     asker.points.publish(cut)
     bench.until("query_points refused", "119 bytes")
-    assert bench.set(("limits.points", 4))[0].successful
-    asker.points.publish(double_cloud(points, OCT))
-    bench.until("query_points refused", "at most 4 points, got 5")
+    asker.points.publish(double_cloud(np.zeros((7, 3)), OCT))
+    bench.until("query_points refused", "at most 6 points, got 7")
     assert not asker.intensities.messages
     assert asker.ask(double_cloud(points[:0], OCT)).shape == (0, 7)
     assert asker.ask(double_cloud(points[:4], OCT))[0, 3] == pytest.approx(0.2, abs=1e-5)
@@ -357,9 +407,9 @@ def test_a_late_joiner_gets_surface_and_band(bench: Bench) -> None:
         assert bench.client.watch(PointCloud2, topic).wait(TIMEOUT_S).width > 0
 
 
-def test_a_line_of_too_many_samples_is_refused(bench: Bench) -> None:
+def test_a_line_of_too_many_samples_is_refused(spin: Callable[..., Any], client: Any) -> None:
+    bench = Bench(spin, client, limits__line_samples=5)
     bench.give(dataclasses.replace(make_phantom(FLAT).truth, stamp_ns=STAMP_NS))
-    assert bench.set(("limits.line_samples", 5))[0].successful
     for tolerance, samples in ((1e-4, 0), (2.5e-4, 5)):
         request = GetPlan.Request(tolerance=tolerance)
         request.start.header.frame_id = request.goal.header.frame_id = OCT
