@@ -35,6 +35,7 @@ class BScanStream:
         poses: where the end effector was.
         complete: called with each C-scan.
         refused: called with the reason why a C-scan was dropped; the same reason once a second at most.
+        doubted: told, once until a scan has poses again, that a C-scan has none although `ee_pose` has been heard.
     """
 
     def __init__(
@@ -44,9 +45,11 @@ class BScanStream:
         poses: PoseHistory,
         complete: Callable[[Volume], object],
         refused: Callable[[str], None],
+        doubted: Callable[[str], None],
     ) -> None:
         self._node, self._config, self._poses = node, config, poses
-        self._complete, self._refused = complete, refused
+        self._complete, self._refused, self._doubted = complete, refused, doubted
+        self._in_doubt = False
         now = config()
         self._pairs = BScanPairs(_VOXEL_BYTES * now.largest_scan_voxels)
         self._assembler: CScanAssembler | None = None
@@ -154,6 +157,13 @@ class BScanStream:
         self._unproven = None
         config = self._config()
         motion = self._poses.motion(volume.stamp_ns, end_ns, config.largest_pose_gap_s)
+        if motion is None and len(self._poses) and not self._in_doubt:
+            self._doubted(
+                f"nobody knows whether the arm moved during the C-scan at {volume.stamp_ns} ns: no ee_pose within "
+                f"{config.largest_pose_gap_s:g} s of it (parameter largest_pose_gap_s), though it was heard before; do "
+                "arm and scanner have the same clock?"
+            )
+        self._in_doubt = motion is None and len(self._poses) > 0
         if motion is not None and motion.translation_m > config.largest_scan_motion_m:
             raise VolumeError(
                 f"expected an arm that holds still within {config.largest_scan_motion_m * 1e6:g} um during a C-scan, "

@@ -64,7 +64,9 @@ class Trainer(Node):
         )
         self._restore()
         self.create_subscription(PoseStamped, "ee_pose", self._on_ee_pose, qos.STREAM)
-        self._stream = BScanStream(self, self._config.config, self._poses, self._accept, self._on_bad_cscan)
+        self._stream = BScanStream(
+            self, self._config.config, self._poses, self._accept, self._on_bad_cscan, self._on_doubt
+        )
         self.create_service(
             LoadMap,
             "load_cscan",
@@ -91,6 +93,9 @@ class Trainer(Node):
     def _on_bad_cscan(self, reason: str) -> None:
         self._diagnostics.failed(reason)
         self._progress.report(status.ERROR, reason, {"state": "refused"})
+
+    def _on_doubt(self, reason: str) -> None:
+        self._progress.report(status.WARN, reason, {"state": "unplaced"})
 
     def _accept(self, volume: Volume) -> NewScan:
         """Make a C-scan the newest, publish what is known of it and fit it, now or after the present fit."""

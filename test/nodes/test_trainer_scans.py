@@ -268,6 +268,25 @@ def test_an_arm_that_falls_silent_holds_no_scan_up_for_long(trainer_bench: Calla
     field_of(bench)
 
 
+def test_a_scan_without_poses_of_an_arm_that_was_heard_is_taken_with_one_warning(
+    trainer_bench: Callable[..., Any], volume: Volume
+) -> None:
+    bench = trainer_bench(**OF_SCANNER)
+    bench.scan(volume, STAMP_NS)  # no arm at all: nothing to warn of
+    field_of(bench)
+    publish_pose(bench, STAMP_NS + 100 * 10**9)
+    bench.client.wait_for(lambda: len(bench.node._poses) == 1, bench.timeout_s, "the pose")
+    for number in (1, 2):
+        stamp_ns = STAMP_NS + number * 10**9
+        bench.scan(volume, stamp_ns)
+        is_of = conversions.header(stamp_ns, "").stamp
+        bench.field.wait(bench.timeout_s, lambda message, is_of=is_of: message.header.stamp == is_of)
+    told = [status.read(message) for message in bench.progress.messages]
+    doubts = [words for _, words, values in told if values.get("state") == "unplaced"]
+    assert len(doubts) == 1
+    assert f"nobody knows whether the arm moved during the C-scan at {STAMP_NS + 10**9} ns" in doubts[0]
+
+
 # --- what a new scan does to a running fit
 
 
