@@ -1,4 +1,9 @@
-"""A plan of 10,000 waypoints is answered in little more time than it takes to find it and to carry its messages."""
+"""A plan of 10,000 waypoints is answered in little more time than it takes to find it and to carry its messages.
+
+What is held to twice the carrying is all that planning adds to its messages: the answer's time less the search's own,
+which `plan_status` tells. The search is measured elsewhere; the ratio with it is printed, not held. What is drawn for
+the eyes comes after the answer and is waited for before the next request.
+"""
 
 from __future__ import annotations
 
@@ -66,18 +71,22 @@ def test_a_large_plan_takes_at_most_twice_the_time_that_its_messages_take(proces
     client.wait_for(lambda: timed("carry")[1] == waypoints, START_S, "a plan to carry")
     gc.disable()  # the client's own collector is not what is measured
     previews = client.watch(Image, "plan_preview")
-    beyond, carrying = [], []
+    whole, beyond, carrying = [], [], []
     for _ in range(ROUNDS):
         before, drawn = len(reports.messages), len(previews.messages)
         whole_s, _ = timed("plan_raster")
         reports.wait(ANSWER_S, lambda message, before=before: len(reports.messages) > before)
         planned = json.loads(status.read(reports.messages[before])[2]["seconds"])
+        whole.append(whole_s)
         beyond.append(whole_s - planned["total"])
-        # What is drawn for the eyes comes after the answer, and is not to be measured with the next one.
         previews.wait(ANSWER_S, lambda message, drawn=drawn: len(previews.messages) > drawn)
         carrying.append(timed("carry")[0])
     gc.enable()
     ratio = float(np.median(beyond) / np.median(carrying))
     told = ", ".join(f"{1e3 * a:.0f}/{1e3 * b:.0f}" for a, b in zip(beyond, carrying, strict=True))
-    print(f"{waypoints} waypoints: {ratio:.2f} times the carrying; ms beyond planning / carrying: {told}")
+    plain = float(np.median(whole) / np.median(carrying))
+    print(
+        f"{waypoints} waypoints: {ratio:.2f} times the carrying, {plain:.2f} with the search; "
+        f"ms beyond planning / carrying: {told}"
+    )
     assert ratio <= MOST, told
