@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 
 from geometry_msgs.msg import PoseStamped
@@ -17,7 +18,7 @@ TIMER_S = 1e-3  # B-scans that come faster than this are sent several at a time
 
 
 class ScanPlayer:
-    """Publishes `bscan` and `bscan_pose`, one C-scan at a time.
+    """Publishes `bscan` and `bscan_pose`, one C-scan at a time; safe from any thread.
 
     Args:
         node: the node that speaks.
@@ -27,6 +28,7 @@ class ScanPlayer:
 
     def __init__(self, node: Node, bscans: int, reliability: str = "reliable") -> None:
         self._node = node
+        self._lock = threading.Lock()  # over what is still to be sent
         self._unsent: deque[BScan] = deque()
         profile = qos.scan_profile(bscans, reliability)
         self._image = node.create_publisher(Image, "bscan", profile)
@@ -52,14 +54,24 @@ class ScanPlayer:
             start_ns: stamp of B-scan 0, by the node's clock; it may lie ahead.
             period_s: time from one B-scan to the next.
         """
-        self._unsent.extend(scanner.bscans(start_ns, round(period_s * 1e9)))
-        self._timer.reset()
+        with self._lock:
+            self._unsent.extend(scanner.bscans(start_ns, round(period_s * 1e9)))
+            self._timer.reset()
+
+    def cancel(self) -> int:
+        """Send nothing more of the present C-scan; return how many B-scans that leaves out."""
+        with self._lock:
+            left_out = len(self._unsent)
+            self._unsent.clear()
+            self._timer.cancel()
+        return left_out
 
     def _send(self) -> None:
         now_ns = self._node.get_clock().now().nanoseconds
-        while self._unsent and self._unsent[0].stamp_ns <= now_ns:
-            bscan = self._unsent.popleft()
-            self._pose.publish(conversions.matrix_to_pose_stamped(bscan.image2oct, bscan.stamp_ns, OCT_FRAME))
-            self._image.publish(conversions.to_image(bscan.image, bscan.stamp_ns, BSCAN_FRAME))
-        if not self._unsent:
-            self._timer.cancel()
+        with self._lock:
+            while self._unsent and self._unsent[0].stamp_ns <= now_ns:
+                bscan = self._unsent.popleft()
+                self._pose.publish(conversions.matrix_to_pose_stamped(bscan.image2oct, bscan.stamp_ns, OCT_FRAME))
+                self._image.publish(conversions.to_image(bscan.image, bscan.stamp_ns, BSCAN_FRAME))
+            if not self._unsent:
+                self._timer.cancel()

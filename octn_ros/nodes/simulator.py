@@ -221,12 +221,17 @@ class Simulator(Node):
             response.message = {
                 "executing": f"aborted after {self._station.arm.executed} shots",
                 "staged": "the staged plan is dropped; nothing was executing",
+                "returning": "the scan is cancelled; nothing was executing",
             }.get(state, "nothing was executing") + "; the laser is disabled"
         return response
 
     def _stop(self, reason: str) -> str:
         """Turn the laser off and stop; the lock is held. Returns what happened in words."""
         was = self._station.arm.state
+        if was == "returning":  # to where a scan is taken: from elsewhere it would be another one than it says
+            left_out = self._player.cancel()
+            self._station.forget_scan()
+            reason += f"; the scan is cancelled, {left_out} B-scans are not taken"
         reason = self._station.stop(reason, self._now_ns(), self._config.config().time_factor)
         self._reports.show_laser()
         words = f"{'aborted' if was == 'executing' else 'stopped'}: {reason}"
@@ -275,6 +280,11 @@ class Simulator(Node):
     def _show_motion(self) -> None:
         with self._lock:
             self._station.move_tissue(self._motion.config(), self._now_ns())
+            dropped = self._plans.lose() and self._station.staged is not None
+            if dropped:  # another planner may have another field
+                self._station.withdraw("the planner of the last one is lost")
+        if dropped:
+            self._reports.say(status.WARN, "the planner is lost; its plan is dropped")
         self._reports.show_motion()
 
     def _describe(self) -> tuple[bytes, str, dict[str, Any]]:

@@ -146,6 +146,10 @@ class Station:
         self.arm.withdraw()
         self.scan_stamp_ns, self._scan_hash, self._scan_place_m = stamp_ns, scan_hash, place_m
 
+    def forget_scan(self) -> None:
+        """Take note that the present scan was never taken; no plan of it can be staged."""
+        self.scan_stamp_ns, self._scan_hash = 0, ""
+
     # --- plans
 
     def stage(self, path: LaserPath) -> None:
@@ -166,10 +170,11 @@ class Station:
         """The staged plan, None if there is none."""
         return self._path if self.arm.state == "staged" else None
 
-    def withdraw(self) -> None:
-        """Drop the staged plan because whoever made it has taken it back."""
+    def withdraw(self, why: str = "the planner has withdrawn the last one") -> None:
+        """Drop the staged plan, if there is one, because whoever made it has taken it back or is gone."""
+        if self.arm.state == "staged":
+            self.no_plan = why
         self.arm.withdraw()
-        self.no_plan = "the planner has withdrawn the last one"
 
     # --- execution
 

@@ -156,16 +156,65 @@ def test_waypoints_without_their_tool_path_are_not_staged(spin: Callable[..., An
     bench.until("7 waypoints staged")
 
 
-def test_an_empty_plan_withdraws_the_staged_one(spin: Callable[..., Any], client: Any) -> None:
+@pytest.mark.parametrize("half", ["waypoints", "tool_path"])
+def test_either_half_of_an_empty_plan_withdraws_it_at_once(spin: Callable[..., Any], client: Any, half: str) -> None:
     bench = Bench(spin, client)
     stamp_ns = bench.scan()
     bench.publish(stamp_ns, line())
     bench.until("staged")
-    bench.publish(stamp_ns, line(0))
+    if half == "waypoints":
+        bench.waypoints.publish(conversions.to_pose_array(line(0), stamp_ns, "tool0"))
+    else:
+        bench.tool_path.publish(conversions.to_cloud(np.empty(0, conversions.TOOL_PATH), stamp_ns, "tool0"))
     bench.until("withdrawn")
-    answer = bench.call("execute")
-    assert not answer.success
-    assert "withdrawn" in answer.message
+    assert "withdrawn" in bench.call("execute").message
+
+
+def test_a_staged_plan_does_not_outlive_its_planner(spin: Callable[..., Any], client: Any) -> None:
+    bench = Bench(spin, client)
+    bench.publish(bench.scan(), line())
+    bench.until("staged")
+    assert bench.enable().success
+    client.node.destroy_publisher(bench.waypoints)
+    bench.until("the planner is lost")
+    bench.waypoints = client.node.create_publisher(PoseArray, "waypoints", qos.LATCHED)
+    client.wait_for(lambda: bench.waypoints.get_subscription_count() > 0, TIMEOUT_S, "simulator")
+    refused = bench.call("execute")
+    assert not refused.success
+    assert "is lost" in refused.message
+
+
+def test_the_same_places_turned_otherwise_are_another_plan(spin: Callable[..., Any], client: Any) -> None:
+    bench = Bench(spin, client)
+    stamp_ns, turned = bench.scan(), line()
+    turned[:, :3, :3] = np.diag([1.0, -1.0, -1.0])
+    bench.publish(stamp_ns, turned)
+    bench.until("5 waypoints staged")
+    rows = conversions.tool_path(line(), *np.ones((5, 5)))
+    staged, heard = len(bench.status.messages), bench.node._plans
+    bench.tool_path.publish(conversions.to_cloud(rows, stamp_ns, "tool0"))
+    client.wait_for(lambda: bytes(heard._tool_path.data) == rows.tobytes(), TIMEOUT_S, "tool path")
+    bench.waypoints.publish(conversions.to_pose_array(turned, stamp_ns, "tool0"))
+    bench.publish(stamp_ns, line(6))
+    bench.until("6 waypoints staged")
+    said = [status.read(message)[1] for message in bench.status.messages[staged:]]
+    assert not any("5 waypoints" in words for words in said), said
+
+
+def test_an_abort_on_the_way_to_a_scan_cancels_the_scan(spin: Callable[..., Any], client: Any) -> None:
+    bench = Bench(spin, client, **ON_TIME)
+    executing(bench)
+    client.wait_for(lambda: bench.node._station.arm.progress[0] > 20, TIMEOUT_S, "arm away from home")
+    bench.call("abort")
+    before = len(bench.bscan.messages)
+    bench.set("time_factor", 0.01)
+    assert "once the arm is back" in bench.call("scan").message
+    assert "cancelled" in bench.call("abort").message
+    bench.until("the scan is cancelled, 40 B-scans are not taken")
+    assert bench.node._station.scan_stamp_ns == bench.node._player.unsent == 0
+    bench.set("time_factor", 100.0)
+    bench.scan()
+    assert len(bench.bscan.messages) == before + bench.bscans
 
 
 def test_an_abort_ends_the_execution_and_the_plan(spin: Callable[..., Any], client: Any) -> None:
@@ -206,6 +255,7 @@ def test_a_phantom_that_cannot_be_is_refused_at_the_start(spin: Callable[..., An
 
 CUT_SHAPE = (40, 64, 80)
 PERIOD_NS = 8_000_000
+ON_THE_WAY_NS = 150_000_000  # of a request or message through the graph, beside other work on the machine
 ON_TIME = {"time_factor": 1.0, "phantom__shape": list(CUT_SHAPE), "bscan_period_s": 1e-4}
 
 
@@ -259,9 +309,13 @@ def test_the_laser_is_off_within_a_control_period_of_an_abort(
     asked_ns = client.node.get_clock().now().nanoseconds
     answer = bench.call("abort")
     answered_ns = client.node.get_clock().now().nanoseconds
+    client.wait_for(lambda: bench.laser_on.messages[-1].data is False, TIMEOUT_S, "laser_on: false")
+    dark_ns = client.node.get_clock().now().nanoseconds
     end, shots = ended(bench, path)
     assert "aborted after" in answer.message
     assert asked_ns <= end["time_ns"] <= answered_ns
+    assert end["time_ns"] - asked_ns < ON_THE_WAY_NS + PERIOD_NS
+    assert dark_ns - asked_ns < 2 * ON_THE_WAY_NS + PERIOD_NS
     last = shots[-1]
     # The abort is obeyed when it is received; no shot goes on for a control period after that.
     assert last["time_ns"] + last["dwell_s"] * 1e9 <= end["time_ns"] + PERIOD_NS
