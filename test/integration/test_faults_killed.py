@@ -28,8 +28,8 @@ SHAPE = (24, 64, 64)
 SMALL_FIT = ("fit.steps:=100", "fit.batch:=4096", "fit.time_budget_s:=0.0", "fit.field.grid.log2_table_size:=15")
 SIMULATOR = (
     f"phantom.shape:={list(SHAPE)}", "phantom.surface:=tilted", "bscan_period_s:=0.001", "time_factor:=1.0",
-    "laser.dwell_s:=0.2",
 )  # fmt: skip
+SLOW = "speed_m_s:=0.0001"  # of the laser: a raster takes half a minute
 LOST_S = 2.0 if embedded.install() else 15.0  # DDS takes ten seconds to miss a node that was killed
 OCT = "oct_optical_frame"
 
@@ -48,6 +48,8 @@ class Graph:
 
     def start(self, name: str) -> Any:
         given: tuple[str, ...] = ("device:=cpu",) if name != "simulator" else SIMULATOR
+        if name == "planner":
+            given += (SLOW,)
         if name == "trainer":
             given += (f"data_root:={self.folder}", f"bscan_count:={SHAPE[0]}", "spacing_um:=[28.0, 14.59, 14.0]")
             given += (f"field_path:={self.folder / 'kept.zip'}", *SMALL_FIT)

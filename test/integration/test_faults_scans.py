@@ -76,11 +76,8 @@ def told_of(losses: list[Loss]) -> Iterator[str]:
             jumps = np.diff(of_scans)
             place = int(jumps.argmax())
             aside = bool(jumps.any())
-            yield (
-                f"that of B-scan {place}, as between the others, got one {1000 * jumps[place] + 1} ms after it"
-                if aside
-                else str((number + 1) * PERIOD_NS)
-            )
+            mixed = f"that of B-scan {place} than the 4 ms that all others take, got one {1000 * jumps[place] + 1} ms"
+            yield mixed if aside else str((number + 1) * PERIOD_NS)
             of_scans = []
 
 
