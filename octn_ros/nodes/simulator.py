@@ -158,6 +158,11 @@ class Simulator(Node):
     def _on_plan(self, path: LaserPath) -> None:
         try:
             with self._lock:
+                running = self._station.running
+                if running is not None:
+                    if running.content_hash == path.content_hash:
+                        return  # its other half has come a second time
+                    self._stop("the planner has replaced the plan")
                 self._station.stage(path)
         except OctnError as error:
             self._on_bad_plan(str(error))

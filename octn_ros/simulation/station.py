@@ -170,6 +170,11 @@ class Station:
         """The staged plan, None if there is none."""
         return self._path if self.arm.state == "staged" else None
 
+    @property
+    def running(self) -> LaserPath | None:
+        """The plan that is being executed, None if there is none."""
+        return self._path if self.arm.state == "executing" else None
+
     def withdraw(self, why: str = "the planner has withdrawn the last one") -> None:
         """Drop the staged plan, if there is one, because whoever made it has taken it back or is gone."""
         if self.arm.state == "staged":

@@ -367,7 +367,7 @@ def test_the_laser_is_off_when_the_plan_has_become_too_old(
     assert shots[-1]["time_ns"] <= end["time_ns"]
 
 
-@pytest.mark.parametrize("how", ["disable", "withdraw"])
+@pytest.mark.parametrize("how", ["disable", "withdraw", "replace"])
 def test_the_laser_is_off_when_it_is_disabled_or_the_plan_withdrawn(
     spin: Callable[..., Any], client: Any, tmp_path: Path, how: str
 ) -> None:
@@ -378,8 +378,8 @@ def test_the_laser_is_off_when_it_is_disabled_or_the_plan_withdrawn(
         assert bench.enable(False).success
         ended(bench, path, "disabled")
     else:
-        bench.publish(stamp_ns, line(0))
-        ended(bench, path, "withdrawn")
+        bench.publish(stamp_ns, line(0 if how == "withdraw" else 5))
+        ended(bench, path, "withdrawn" if how == "withdraw" else "replaced")
 
 
 def test_an_execution_is_recorded_with_who_and_what(spin: Callable[..., Any], client: Any, tmp_path: Path) -> None:
