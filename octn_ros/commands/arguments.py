@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 
+from octn_ros.commands.terminal import CommandError
+
+SMALLEST_SPACING_UM = 0.1  # finer than any OCT system resolves; what is below has been given in millimetres
+
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json`."""
@@ -27,8 +31,18 @@ def add_spacing(parser: argparse.ArgumentParser) -> None:
 
 
 def spacing(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
-    """Return the spacing given, in micrometres along (bscan, axial, lateral)."""
+    """Return the spacing given, in micrometres along (bscan, axial, lateral).
+
+    Raises:
+        CommandError: a number is no spacing in micrometres.
+    """
     if arguments.spacing_um is None:
         return None
     bscan, axial, lateral = arguments.spacing_um
+    for given in arguments.spacing_um:
+        if 0.0 < given < SMALLEST_SPACING_UM:
+            raise CommandError(
+                f"--spacing-um: expected micrometres, {SMALLEST_SPACING_UM:g} or more, got {given:g}; millimetres are "
+                "multiplied by 1000"
+            )
     return bscan, axial, lateral

@@ -47,11 +47,11 @@ def plan_rows(values: dict[str, Any]) -> list[tuple[str, str]]:
             "the region in gaps wider than the line spacing",
         ),
         *(
-            (f"error: {term['name']}", f"{term['micrometres']:.2f} um, {term['source']}")
+            (f"error budget: {term['name']}", f"{term['micrometres']:.2f} um, {term['source']}")
             for term in budget["terms"]
             if term["micrometres"]
         ),
-        ("error in all", f"{budget['total_um']:.1f} um{lacking}"),
+        ("error budget, in all", f"{budget['total_um']:.1f} um{lacking}"),
         ("surface search", values["method"]),
         ("time", ", ".join(f"{name} {value:.2f} s" for name, value in values["seconds"].items())),
         ("plan", values["plan"]),

@@ -16,6 +16,9 @@ from octn_ros.volume.orientation import AXES, FORWARD, axis_order, check_scan_si
 from octn_ros.volume.scan_header import RawScan, ReadRequest
 from octn_ros.volume.volume import INTENSITY_SCALES, IntensityScale, Volume, integer_range
 
+_LOGGER = logging.getLogger(__name__)
+_SPACING_TOLERANCE = 0.01  # by which a given spacing may differ from the stated one without a word
+
 Reader = Callable[[Path, ReadRequest], RawScan]
 
 # Format by suffix: module and function. Each module imports its library, so none is loaded before it is needed.
@@ -76,7 +79,8 @@ def load_volume(
 
     Args:
         path: the file or folder. Its suffix tells the format, or its first bytes if the suffix is of no help.
-        spacing_um: micrometres between voxels along (bscan, axial, lateral); overrides what the file states.
+        spacing_um: micrometres between voxels along (bscan, axial, lateral); overrides what the file states, with a
+            warning in the log where they differ by more than 1 %.
         axes: what the axes of the file's array are, in its own order.
         scan_signs: directions of the (bscan, axial, lateral) axes; -1 for one that the scanner stores mirrored, which
             is turned round. A stated origin is that of voxel (0, 0, 0) afterwards.
@@ -99,7 +103,7 @@ def load_volume(
         raise VolumeError(f"expected an intensity scale of {', '.join(INTENSITY_SCALES)}, got {intensity_scale!r}")
     with _blaming(path):
         raw = _reader(path)(path, ReadRequest(ReadLimit(max_bytes, max_voxels), variable))
-        spacing_m = _spacing_m(raw, order, spacing_um)
+        spacing_m = _spacing_m(path, raw, order, spacing_um)
         voxels = raw.read_voxels()
         if voxels.ndim != 3:
             raise VolumeError(f"expected three axes [bscan, axial, lateral], got {voxels.shape}")
@@ -164,12 +168,20 @@ def _suffix_by_content(path: Path) -> str:
 
 
 def _spacing_m(
-    raw: RawScan, order: tuple[int, int, int], spacing_um: tuple[float, float, float] | None
+    path: Path, raw: RawScan, order: tuple[int, int, int], spacing_um: tuple[float, float, float] | None
 ) -> tuple[float, float, float]:
-    if spacing_um is not None:
-        bscan, axial, lateral = (float(s) * 1e-6 for s in spacing_um)
-    elif raw.header.spacing_m is not None:
-        bscan, axial, lateral = (raw.header.spacing_m[place] for place in order)
-    else:
-        raise VolumeError(NO_SPACING)
-    return bscan, axial, lateral
+    header = raw.header.spacing_m
+    stated = None if header is None else (header[order[0]], header[order[1]], header[order[2]])
+    if spacing_um is None:
+        if stated is None:
+            raise VolumeError(NO_SPACING)
+        return stated
+    bscan, axial, lateral = (float(s) * 1e-6 for s in spacing_um)
+    given = bscan, axial, lateral
+    if stated is not None and any(abs(g - s) > _SPACING_TOLERANCE * s for g, s in zip(given, stated, strict=True)):
+        _LOGGER.warning("%s: the spacing given, %s, is taken; the file states %s", path, _text(given), _text(stated))
+    return given
+
+
+def _text(spacing_m: tuple[float, float, float]) -> str:
+    return " x ".join(f"{spacing * 1e6:.6g}" for spacing in spacing_m) + " um"

@@ -67,6 +67,28 @@ def test_the_table_is_for_people(scan_file, capsys):
     assert "####" in text
 
 
+@pytest.mark.parametrize("command", [["info"], ["convert", "out.npz"], ["slice", "bscan:3", "-o", "cut.png"]])
+def test_a_spacing_in_millimetres_is_refused(command, scan_file, capsys):
+    name, *rest = command
+    assert main([name, str(scan_file), *rest, "--spacing-um", "0.028", "0.01459", "0.014"]) == 2
+    said = capsys.readouterr().err
+    assert "--spacing-um: expected micrometres, 0.1 or more, got 0.028; millimetres are multiplied by 1000" in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_spacing_that_contradicts_the_file_is_taken_with_a_warning(scan_file, caplog, capsys):
+    assert main(["info", str(scan_file), "--json", "--spacing-um", "30", "15.3", "20"]) == 0
+    assert json.loads(capsys.readouterr().out)["spacing_um"] == pytest.approx([30, 15.3, 20])
+    (said,) = caplog.messages
+    assert said == f"{scan_file}: the spacing given, 30 x 15.3 x 20 um, is taken; the file states 30 x 15 x 20 um"
+
+
+def test_a_spacing_that_the_file_states_too_is_taken_without_a_word(scan_file, unstated_file, caplog):
+    assert main(["info", str(scan_file), "--json", "--spacing-um", "30.1", "15", "20"]) == 0
+    assert main(["info", str(unstated_file), "--json", "--spacing-um", "30", "15", "20"]) == 0
+    assert caplog.messages == []
+
+
 def test_info_needs_no_torch(scan_file):
     code = (
         "import sys; from octn_ros.cli import main\n"
