@@ -207,8 +207,9 @@ class Trainer(Node):
         figures = self._fitter.start_from(field, kept) if isinstance(field, NeuralField) else {}
         age_s = self._diagnostics.age_s(kept.stamp_ns)
         self._progress.report(
-            status.OK,
-            f"the field kept in {self._store.path} is published again; its scan is {age_s:.0f} s old",
+            status.WARN,  # whoever takes the first field that comes plans on an old scan
+            f"the field kept in {self._store.path} is published again; its scan is {age_s:.0f} s old, and holds until "
+            "a new one comes",
             {"state": "restored", "age_s": age_s, **figures},
         )
 
