@@ -11,16 +11,17 @@ import octn_ros.nodes  # noqa: F401 - makes rclpy and the message packages impor
 
 # isort: split
 import rclpy
-from geometry_msgs.msg import Pose, PoseArray, PoseStamped
+from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
+from octn_ros.nodes import status
 from octn_ros.nodes.conversions import cloud_to_tool_path, matrix_to_pose_stamped, pose_to_matrix
-from octn_ros.planning import invert, load_calibration
+from octn_ros.planning import from_translation_quaternion, invert, load_calibration
 from octn_ros.resources import config_path
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # as the planner publishes its plans
@@ -28,7 +29,7 @@ POSE_PERIOD_S = 0.02
 
 
 class MinimalArm(Node):
-    """Publishes `ee_pose`, stages what the planner publishes, and goes there only on `execute`."""
+    """Publishes `ee_pose`, stages what the planner publishes, and goes there only on `execute`, the laser enabled."""
 
     def __init__(self) -> None:
         super().__init__("arm", namespace="octn")
@@ -36,14 +37,23 @@ class MinimalArm(Node):
         self._calibration = load_calibration(self.get_parameter("calibration").value)
         self._ee2base = pose_to_matrix(Pose())
         self._ee2base[:3, 3] = 0.4, 0.0, 0.3
-        self._waypoints, self._tool_path = PoseArray(), PointCloud2()
+        # Two plans of one scan have equal stamps, so all of a plan is taken from one message.
+        self._tool_path, self._scan_pose = PointCloud2(), PoseStamped()
+        self._laser_enabled = False
         self.reached: list[np.ndarray] = []  # where the laser's focus has been, in the base
         self._ee_pose = self.create_publisher(PoseStamped, "ee_pose", 50)
-        self.create_subscription(PoseArray, "waypoints_base", self._on_waypoints, LATCHED)
-        self.create_subscription(PointCloud2, "tool_path", self._on_tool_path, LATCHED)
+        self._status = status.StatusTopic(self, "execution_status", LATCHED)  # goes to the log too
+        # In a group of their own: while the arm moves its pose is told, and who takes back plan or laser is heard.
+        aside = MutuallyExclusiveCallbackGroup()
+        self.create_timer(POSE_PERIOD_S, self._tell_pose, callback_group=aside)
+        self.create_subscription(PoseStamped, "scan_ee_pose", self._on_scan_pose, LATCHED, callback_group=aside)
+        self.create_subscription(PointCloud2, "tool_path", self._on_tool_path, LATCHED, callback_group=aside)
+        self.create_service(SetBool, "enable_laser", self._enable_laser, callback_group=aside)
         self.create_service(Trigger, "execute", self._execute)
-        # In a group of its own: the pose goes on being told while the arm moves.
-        self.create_timer(POSE_PERIOD_S, self._tell_pose, callback_group=MutuallyExclusiveCallbackGroup())
+        self._say("idle", "ready: no plan, the laser is disabled")
+
+    def _say(self, state: str, words: str) -> None:
+        self._status.report(status.OK if state != "aborted" else status.ERROR, words, {"state": state})
 
     def _read_pose(self) -> np.ndarray:
         return self._ee2base  # yours: forward kinematics, at the time of the stamp below
@@ -52,23 +62,52 @@ class MinimalArm(Node):
         now_ns = self.get_clock().now().nanoseconds
         self._ee_pose.publish(matrix_to_pose_stamped(self._read_pose(), now_ns, self._calibration.base_frame))
 
-    def _on_waypoints(self, message: PoseArray) -> None:
-        self._waypoints = message  # nothing moves yet; an empty one withdraws the plan
+    def _on_scan_pose(self, message: PoseStamped) -> None:
+        self._scan_pose = message
+        self._look_at_plan()
 
     def _on_tool_path(self, message: PointCloud2) -> None:
         self._tool_path = message
+        self._look_at_plan()
+
+    def _look_at_plan(self) -> None:
+        """Nothing moves yet; an empty tool path withdraws the plan, and stops an arm that follows it."""
+        if self._tool_path.width and self._tool_path.header.stamp == self._scan_pose.header.stamp:
+            self._say("staged", f"plan of {self._tool_path.width} waypoints staged")
+        else:
+            self._say("idle", "no plan of the present scan")
+
+    def _enable_laser(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._laser_enabled = bool(request.data)
+        response.success, response.message = True, f"the laser is {'enabled' if request.data else 'disabled'}"
+        self.get_logger().info(response.message)
+        return response
 
     def _execute(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        poses, path = self._waypoints, self._tool_path
-        if not poses.poses:
+        path, scan_pose = self._tool_path, self._scan_pose
+        if not path.width:
             response.message = "there is no plan"
-        elif poses.header.stamp != path.header.stamp or len(poses.poses) != path.width:
-            response.message = "waypoints and tool path are of different plans; ask again"
+        elif path.header.stamp != scan_pose.header.stamp:
+            response.message = "the plan is of another scan than the newest; plan again"
+        elif not self._laser_enabled:
+            response.message = "the laser is disabled; call enable_laser"
         else:
-            for pose, row in zip(poses.poses, cloud_to_tool_path(path), strict=True):
-                self._go(pose_to_matrix(pose), float(row["speed"]), bool(row["laser_on"]))
-            response.success, response.message = True, f"{len(poses.poses)} waypoints reached"
+            response.success, response.message = self._follow(path, pose_to_matrix(scan_pose.pose))
         return response
+
+    def _follow(self, path: PointCloud2, scan_ee2base: np.ndarray) -> tuple[bool, str]:
+        self._say("executing", f"executing {path.width} waypoints")
+        for done, row in enumerate(cloud_to_tool_path(path)):
+            if self._tool_path is not path or not self._laser_enabled:
+                words = f"aborted after {done} waypoints: plan or laser was taken back"
+                self._say("aborted", words)
+                return False, words
+            place, turn = [row[name] for name in ("x", "y", "z")], [row[name] for name in ("qx", "qy", "qz", "qw")]
+            focus2ee = from_translation_quaternion(place, turn)  # of the end effector at the time of the scan
+            self._go(scan_ee2base @ focus2ee, float(row["speed"]), bool(row["laser_on"]))
+        words = f"{path.width} waypoints reached"
+        self._say("done", words)
+        return True, words
 
     def _go(self, focus2base: np.ndarray, speed_m_s: float, laser_on: bool) -> None:
         """Bring the laser's focus to a pose: the flange goes where the calibration puts it."""

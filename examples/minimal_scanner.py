@@ -48,17 +48,27 @@ class MinimalScanner(Node):
         self._index, self._images = 0, iter(())
         self._timer = self.create_timer(PERIOD_S, self._send)
         self._timer.cancel()
+        self.get_logger().info(f"ready: {BSCANS} B-scans of {AXIAL} axial x {LATERAL} lateral on each call of scan")
+
+    def _heard(self) -> bool:
+        return self._image.get_subscription_count() > 0 and self._pose.get_subscription_count() > 0
 
     def _scan(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._index, self._images = 0, acquire()
         self._timer.reset()
         response.success, response.message = True, f"scanning {BSCANS} B-scans"
+        if not self._heard():
+            response.message += " once a trainer subscribes to bscan and bscan_pose"
+        self.get_logger().info(response.message)
         return response
 
     def _send(self) -> None:
+        if self._index == 0 and not self._heard():
+            return  # what nobody hears is lost
         grey = next(self._images, None)
         if grey is None:
             self._timer.cancel()
+            self.get_logger().info(f"{self._index} B-scans sent")
             return
         stamp = self.get_clock().now().to_msg()  # yours: when the B-scan was acquired, by the same clock as the arm's
         image = Image(height=AXIAL, width=LATERAL, encoding="mono8", step=LATERAL)
