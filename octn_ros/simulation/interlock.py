@@ -16,6 +16,10 @@ class InterlockConfig:
         100e-6, "distance of the tracked tissue from its place at the scan beyond which nothing is fired; 0 = not "
         "watched", unit="m", low=0.0, high=0.1,
     )  # fmt: skip
+    longest_stall_s: float = setting(
+        0.5, "time without a look at all this, with the shutter open, after which nothing more is fired", unit="s",
+        low=0.01, high=60.0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -30,12 +34,14 @@ class Conditions:
         plan_age_s: time since the scan that the plan was made on, by the clock that stamped it.
         planner_alive: whether whoever published the plan is still there.
         tissue_moved_m: measured distance of the tissue from its place at that scan.
+        stalled_s: time since these conditions were last looked at; 0 with the shutter closed.
     """
 
     enabled: bool
     plan_age_s: float
     planner_alive: bool
     tissue_moved_m: float
+    stalled_s: float
 
 
 def why_off(config: InterlockConfig, conditions: Conditions) -> str | None:
@@ -54,5 +60,10 @@ def why_off(config: InterlockConfig, conditions: Conditions) -> str | None:
         return (
             f"expected tissue within {config.max_tissue_motion_m * 1e6:.0f} um of its place at the scan, got it "
             f"{conditions.tissue_moved_m * 1e6:.0f} um away; scan and plan again"
+        )
+    if not conditions.stalled_s <= config.longest_stall_s:
+        return (
+            f"expected a look at the interlock every {config.longest_stall_s:g} s at least while the shutter is "
+            f"open, got none for {conditions.stalled_s:.2f} s; take load off the computer, scan and plan again"
         )
     return None

@@ -97,6 +97,7 @@ class Station:
         self.scan_stamp_ns = 0
         self._scan_place_m, self._scan_hash = np.zeros(3), ""
         self._path: LaserPath | None = None
+        self._looked_ns = 0  # when the interlock was last looked at in an execution
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -213,6 +214,7 @@ class Station:
         )
         self.execution = Execution(full, laser, setting, self.tissue, self._audit, now_ns)
         self.arm.execute(now_ns, laser.dwell_s)
+        self._looked_ns = now_ns
 
     def step(
         self, dt_s: float, interlock: InterlockConfig, planner_alive: bool, now_ns: int, factor: float
@@ -235,6 +237,7 @@ class Station:
         reason = self._why_off(interlock, planner_alive, now_ns)
         if reason is not None:
             return self.stop(reason, now_ns, factor)
+        self._looked_ns = now_ns
         shots = self.arm.step(dt_s * factor)
         try:
             self._fire(shots, now_ns, factor)
@@ -279,4 +282,6 @@ class Station:
         assert self._path is not None
         moved_m = float(np.linalg.norm(self.measured_motion_m(now_ns)))
         age_s = (now_ns - self._path.stamp_ns) * 1e-9
-        return why_off(interlock, Conditions(self.enabled, age_s, planner_alive, moved_m))
+        # With the shutter closed nothing is done to the tissue meanwhile, and the arm just goes on later.
+        stalled_s = (now_ns - self._looked_ns) * 1e-9 if self.arm.laser_on else 0.0
+        return why_off(interlock, Conditions(self.enabled, age_s, planner_alive, moved_m, stalled_s))

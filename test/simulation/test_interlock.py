@@ -13,7 +13,7 @@ from octn_ros.simulation import (
     why_off,
 )
 
-GOOD = {"enabled": True, "plan_age_s": 5.0, "planner_alive": True, "tissue_moved_m": 50e-6}
+GOOD = {"enabled": True, "plan_age_s": 5.0, "planner_alive": True, "tissue_moved_m": 50e-6, "stalled_s": 0.2}
 
 
 def test_with_every_condition_held_the_laser_may_be_on():
@@ -30,6 +30,8 @@ def test_with_every_condition_held_the_laser_may_be_on():
         ({"planner_alive": False}, "got none in the graph"),
         ({"tissue_moved_m": 120e-6}, "within 100 um of its place at the scan, got it 120 um away"),
         ({"tissue_moved_m": math.nan}, "nan um away"),
+        ({"stalled_s": 0.6}, "every 0.5 s at least while the shutter is open, got none for 0.60 s"),
+        ({"stalled_s": math.nan}, "none for nan s"),
     ],
 )
 def test_each_condition_alone_turns_it_off(changes, reason):

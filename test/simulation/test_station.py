@@ -177,6 +177,31 @@ def test_trouble_on_the_way_turns_the_laser_off_in_the_same_step(tmp_path, troub
         made.execute(ORDER, LASER, INTERLOCK, True, now_ns)
 
 
+def test_a_loop_that_was_held_up_with_the_shutter_open_turns_the_laser_off(tmp_path):
+    for stalled_s, interlock, reason in (
+        (0.4, INTERLOCK, None),
+        (0.6, InterlockConfig(longest_stall_s=0.7), None),
+        (0.6, INTERLOCK, "every 0.5 s at least while the shutter is open, got none for 0.60 s"),
+    ):
+        made, now_ns = station(tmp_path), NOW_NS
+        made.execute(ORDER, LASER, interlock, True, now_ns)
+        now_ns += 2_000_000_000
+        assert made.step(PERIOD_S, interlock, True, now_ns, 1.0) is None, "the shutter is closed on the way there"
+        while not made.arm.laser_on:
+            assert made.arm.state == "executing"
+            now_ns += round(PERIOD_S * 1e9)
+            assert made.step(PERIOD_S, interlock, True, now_ns, 1.0) is None
+        now_ns += round(stalled_s * 1e9)
+        stopped = made.step(5 * PERIOD_S, interlock, True, now_ns, 1.0)
+        if reason is None:
+            assert (stopped, made.arm.state) == (None, "executing")
+        else:
+            assert reason in stopped
+    assert (made.arm.state, made.arm.laser_on, made.enabled) == ("aborted", False, False)
+    (end,) = lines(tmp_path, "end")
+    assert (end["outcome"], end["reason"], end["time_ns"]) == ("aborted", stopped, now_ns)
+
+
 def test_a_shot_cut_short_by_an_abort_counts_for_what_it_did(tmp_path):
     for steps in range(20, 40):
         made = station(tmp_path)
