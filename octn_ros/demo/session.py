@@ -107,6 +107,7 @@ def run_session(
             show("scanning", 0.0, "")
             _scan(client, ears)
         with watch.part("fit"):
+            show("preparing the fit", 0.0, "the first time on a machine, kernels are compiled")
             client.node.create_subscription(
                 DiagnosticArray, "fit_progress", lambda message: _show_fit(message, show), qos.STREAM
             )
