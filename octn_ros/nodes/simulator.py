@@ -204,9 +204,11 @@ class Simulator(Node):
                     raise OctnError("a scan is running, which withdraws the plan before it")
                 station.move_tissue(self._motion.config(), self._now_ns())
                 origin = self._plans.origin(station.staged) if station.staged is not None else ("", "")
-                order = Order(self._config.config().operator, *origin)
+                config = self._config.config()
+                order = Order(config.operator, *origin)
                 alive = self._plans.planner_alive
-                station.execute(order, self._laser.config(), self._interlock.config(), alive, self._now_ns())
+                laser, interlock = self._laser.config(), self._interlock.config()
+                station.execute(order, laser, interlock, alive, self._now_ns(), config.time_factor)
             except OctnError as error:
                 response.message = f"execute refused: {error}"
                 asked.refused(response.message)

@@ -67,6 +67,7 @@ class Execution:
         tissue: what is cut; None where the scanner plays a recording, which nothing is taken away from.
         audit: the record.
         start_ns: when it began.
+        limits: what the interlock and the pace of time are set to, by the names of the parameters.
 
     Raises:
         ExecutionError: the record cannot be written.
@@ -80,14 +81,33 @@ class Execution:
         tissue: PhantomTissue | None,
         audit: AuditRecord,
         start_ns: int,
+        limits: dict[str, float],
     ) -> None:
         self.order, self.laser = order, laser
         self._setting, self._tissue, self._audit = setting, tissue, audit
+        self._limits = limits
         self._shots = 0
         self._dwell_s = self._volume_m3 = 0.0
         self._across_squared = self._along_squared = self._across_most = 0.0
         self._before_m = None if tissue is None else tissue.removed_m.copy()
-        audit.write([{"event": "execute", "time_ns": start_ns, **asdict(order), "laser": asdict(laser)}], durable=True)
+        line = {"event": "execute", "time_ns": start_ns, **asdict(order), "laser": asdict(laser), "limits": limits}
+        audit.write([line], durable=True)
+
+    def note(self, limits: dict[str, float], now_ns: int) -> None:
+        """Write down which of the limits hold another value from now on.
+
+        Args:
+            limits: what they are set to now, all of them.
+            now_ns: present time.
+
+        Raises:
+            ExecutionError: the record cannot be written.
+        """
+        changed = {name: value for name, value in limits.items() if value != self._limits[name]}
+        self._limits = limits
+        if changed:
+            change = {"event": "change", "time_ns": now_ns}
+            self._audit.write([{**change, "name": name, "value": value} for name, value in changed.items()])
 
     def fire(self, shots: list[Shot], stamps_ns: list[int], place_m: NDArray[np.float64]) -> None:
         """Fire.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -185,9 +185,23 @@ class Station:
     # --- execution
 
     def execute(
-        self, order: Order, laser: LaserConfig, interlock: InterlockConfig, planner_alive: bool, now_ns: int
+        self,
+        order: Order,
+        laser: LaserConfig,
+        interlock: InterlockConfig,
+        planner_alive: bool,
+        now_ns: int,
+        factor: float,
     ) -> None:
         """Begin to run the staged plan.
+
+        Args:
+            order: what is told with the request.
+            laser: what is fired with.
+            interlock: its limits.
+            planner_alive: whether whoever published the plan is still there.
+            now_ns: present time.
+            factor: seconds of the arm's time per second of the clock.
 
         Raises:
             ExecutionError: nothing is staged, the interlock says no, or the audit record cannot be written.
@@ -212,7 +226,8 @@ class Station:
         setting = Setting(
             inverse(home2base @ self._mounting.oct2ee), inverse(home2base @ self._true_oct2ee), self._scan_place_m
         )
-        self.execution = Execution(full, laser, setting, self.tissue, self._audit, now_ns)
+        limits = _limits(interlock, factor)
+        self.execution = Execution(full, laser, setting, self.tissue, self._audit, now_ns, limits)
         self.arm.execute(now_ns, laser.dwell_s)
         self._looked_ns = now_ns
 
@@ -220,6 +235,8 @@ class Station:
         self, dt_s: float, interlock: InterlockConfig, planner_alive: bool, now_ns: int, factor: float
     ) -> str | None:
         """Let `dt_s` seconds of the clock pass, unless the interlock says no.
+
+        Limits and a factor other than those of the step before are written down first.
 
         Args:
             dt_s: time since the last step.
@@ -234,13 +251,14 @@ class Station:
         if self.arm.state != "executing":
             self.arm.step(dt_s * factor)
             return None
-        reason = self._why_off(interlock, planner_alive, now_ns)
-        if reason is not None:
-            return self.stop(reason, now_ns, factor)
-        self._looked_ns = now_ns
-        shots = self.arm.step(dt_s * factor)
         try:
-            self._fire(shots, now_ns, factor)
+            if self.execution is not None:
+                self.execution.note(_limits(interlock, factor), now_ns)
+            reason = self._why_off(interlock, planner_alive, now_ns)
+            if reason is not None:
+                return self.stop(reason, now_ns, factor)
+            self._looked_ns = now_ns
+            self._fire(self.arm.step(dt_s * factor), now_ns, factor)
             if self.arm.state == "done" and self.execution is not None:
                 self.no_plan = "the last one has been executed"
                 self.execution.end("done", "", now_ns)
@@ -285,3 +303,8 @@ class Station:
         # With the shutter closed nothing is done to the tissue meanwhile, and the arm just goes on later.
         stalled_s = (now_ns - self._looked_ns) * 1e-9 if self.arm.laser_on else 0.0
         return why_off(interlock, Conditions(self.enabled, age_s, planner_alive, moved_m, stalled_s))
+
+
+def _limits(interlock: InterlockConfig, factor: float) -> dict[str, float]:
+    """What may be changed while the laser fires, by the names of the simulator's parameters."""
+    return {**{f"interlock.{name}": value for name, value in asdict(interlock).items()}, "time_factor": factor}

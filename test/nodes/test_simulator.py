@@ -363,6 +363,9 @@ def test_the_laser_is_off_when_the_plan_has_become_too_old(
     age_s = (client.node.get_clock().now().nanoseconds - stamp_ns) * 1e-9 + 0.3
     bench.set("interlock.plan_max_age_s", age_s)
     end, shots = ended(bench, path, "s old")
+    (change,) = audit(path, "change")
+    assert (change["name"], change["value"]) == ("interlock.plan_max_age_s", age_s)
+    assert stamp_ns < change["time_ns"] <= end["time_ns"]
     assert (end["time_ns"] - stamp_ns) * 1e-9 >= age_s
     assert shots[-1]["time_ns"] <= end["time_ns"]
 

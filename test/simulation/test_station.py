@@ -65,7 +65,7 @@ def station(tmp_path, tissue=None, motion=STILL, **errors):
 
 def run(made, steps=10_000, alive=lambda step: True, interlock=INTERLOCK):
     """Execute; return the reason of a stop, and the time at the end."""
-    made.execute(ORDER, LASER, interlock, True, NOW_NS)
+    made.execute(ORDER, LASER, interlock, True, NOW_NS, 1.0)
     now_ns = NOW_NS
     for step in range(steps):
         now_ns += round(PERIOD_S * 1e9)
@@ -144,10 +144,10 @@ def test_nothing_is_fired_unless_everything_is_well(tmp_path):
     ):
         made.enabled = change.get("enabled", True)
         with pytest.raises(ExecutionError, match=reason):
-            made.execute(ORDER, LASER, interlock, alive, NOW_NS + 1_000_000_000)
+            made.execute(ORDER, LASER, interlock, alive, NOW_NS + 1_000_000_000, 1.0)
     made.move_tissue(TissueMotionConfig(shift_m=(0.0, 0.0, 150e-6), tracker_noise_m=0.0), NOW_NS)
     with pytest.raises(ExecutionError, match="150 um away"):
-        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS)
+        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
     assert made.arm.state == "staged", "and the plan stands"
     assert made.execution is None
 
@@ -174,7 +174,7 @@ def test_trouble_on_the_way_turns_the_laser_off_in_the_same_step(tmp_path, troub
     assert made.step(1.0, INTERLOCK, True, now_ns, 1.0) is None
     assert len(lines(tmp_path, "shot")) == len(shots)
     with pytest.raises(ExecutionError, match="was stopped"):
-        made.execute(ORDER, LASER, INTERLOCK, True, now_ns)
+        made.execute(ORDER, LASER, INTERLOCK, True, now_ns, 1.0)
 
 
 def test_a_loop_that_was_held_up_with_the_shutter_open_turns_the_laser_off(tmp_path):
@@ -184,7 +184,7 @@ def test_a_loop_that_was_held_up_with_the_shutter_open_turns_the_laser_off(tmp_p
         (0.6, INTERLOCK, "every 0.5 s at least while the shutter is open, got none for 0.60 s"),
     ):
         made, now_ns = station(tmp_path), NOW_NS
-        made.execute(ORDER, LASER, interlock, True, now_ns)
+        made.execute(ORDER, LASER, interlock, True, now_ns, 1.0)
         now_ns += 2_000_000_000
         assert made.step(PERIOD_S, interlock, True, now_ns, 1.0) is None, "the shutter is closed on the way there"
         while not made.arm.laser_on:
@@ -200,6 +200,37 @@ def test_a_loop_that_was_held_up_with_the_shutter_open_turns_the_laser_off(tmp_p
     assert (made.arm.state, made.arm.laser_on, made.enabled) == ("aborted", False, False)
     (end,) = lines(tmp_path, "end")
     assert (end["outcome"], end["reason"], end["time_ns"]) == ("aborted", stopped, now_ns)
+
+
+def test_limits_changed_on_the_way_are_written_down_before_they_hold(tmp_path):
+    made, now_ns = station(tmp_path), NOW_NS
+    made.execute(ORDER, LASER, INTERLOCK, True, now_ns, 1.0)
+    (begun,) = lines(tmp_path, "execute")
+    assert begun["limits"] == {
+        "interlock.plan_max_age_s": 600.0,
+        "interlock.max_tissue_motion_m": 100e-6,
+        "interlock.longest_stall_s": 0.5,
+        "time_factor": 1.0,
+    }
+    looser = InterlockConfig(plan_max_age_s=900.0, max_tissue_motion_m=0.0)
+    stricter = InterlockConfig(plan_max_age_s=0.001)
+    stopped = None
+    for interlock, factor in ((INTERLOCK, 1.0), (looser, 1.0), (looser, 2.0), (looser, 2.0), (stricter, 2.0)):
+        assert stopped is None
+        now_ns += round(PERIOD_S * 1e9)
+        stopped = made.step(PERIOD_S, interlock, True, now_ns, factor)
+    assert "0 to 0.001 s old" in stopped
+    period_ns = round(PERIOD_S * 1e9)
+    changes = lines(tmp_path, "change")
+    assert [((line["time_ns"] - NOW_NS) / period_ns, line["name"], line["value"]) for line in changes] == [
+        (2, "interlock.plan_max_age_s", 900.0),
+        (2, "interlock.max_tissue_motion_m", 0.0),
+        (3, "time_factor", 2.0),
+        (5, "interlock.plan_max_age_s", 0.001),
+        (5, "interlock.max_tissue_motion_m", 100e-6),
+    ]
+    text = (tmp_path / "folder" / "audit.jsonl").read_text()
+    assert [json.loads(line)["event"] for line in text.splitlines()[-2:]] == ["change", "end"]
 
 
 def test_a_shot_cut_short_by_an_abort_counts_for_what_it_did(tmp_path):
@@ -221,7 +252,7 @@ def test_what_cannot_be_written_down_is_not_fired(tmp_path):
         run(made)
     assert made.arm.state == "staged"
     (tmp_path / "folder").unlink()
-    made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS)
+    made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
     (tmp_path / "folder" / "audit.jsonl").unlink()
     (tmp_path / "folder" / "audit.jsonl").mkdir()
     now_ns, stopped = NOW_NS, None
@@ -256,13 +287,13 @@ def test_a_new_scan_or_a_withdrawal_takes_the_plan_away(tmp_path):
     made = station(tmp_path)
     made.begin_scan(NOW_NS + 1, "6" * 16, np.zeros(3))
     with pytest.raises(ExecutionError, match="new scan has withdrawn"):
-        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS)
+        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
     with pytest.raises(ExecutionError, match="another scan"):
         made.stage(raster())
     made = station(tmp_path)
     made.withdraw()
     with pytest.raises(ExecutionError, match="planner has withdrawn"):
-        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS)
+        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
 
 
 def test_a_recording_is_fired_at_but_not_cut(tmp_path):
