@@ -29,7 +29,12 @@ class PlanPublisher:
         self._waypoints_base = node.create_publisher(PoseArray, "waypoints_base", qos.LATCHED)
         self._waypoints_oct = node.create_publisher(PoseArray, "waypoints_oct", qos.LATCHED)
         self._tool_path = node.create_publisher(PointCloud2, "tool_path", qos.LATCHED)
-        self._stands = False
+        self._stands = self._told = False
+
+    @property
+    def told(self) -> bool:
+        """Whether anything has been published, a plan or that there is none."""
+        return self._told
 
     @property
     def stands(self) -> bool:
@@ -68,6 +73,8 @@ class PlanPublisher:
         stamp_ns, calibration = received.stamp_ns, self._calibration
         self._tool_path.publish(conversions.to_cloud(rows, stamp_ns, calibration.ee_frame))
         self._waypoints_oct.publish(conversions.encode_pose_array(oct_, stamp_ns, received.frame))
-        if len(base) or self._stands:  # without a pose there is nothing to say, except that the old ones are over
+        # Without a pose there is nothing to say, except that the old ones are over, maybe those of a planner before.
+        if len(base) or self._stands or not self._told:
             self._waypoints_base.publish(conversions.encode_pose_array(base, stamp_ns, calibration.base_frame))
         self._waypoints.publish(conversions.encode_pose_array(ee, stamp_ns, calibration.ee_frame))
+        self._told = True

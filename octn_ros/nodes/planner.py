@@ -120,6 +120,8 @@ class Planner(Node):
             self._view.clear(received)
             self._status.report(status.WARN, "a new field has come; the plan of the last one is withdrawn", of_field)
         else:
+            if not self._publisher.told:
+                self._publisher.withdraw(received)  # who still holds a plan of a planner before this one drops it
             self._status.report(status.OK, "a field has come; ready to plan", of_field)
 
     def _on_bad_field(self, reason: str, outdated: bool) -> None:
