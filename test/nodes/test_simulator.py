@@ -370,7 +370,6 @@ def test_the_laser_is_off_when_the_plan_has_become_too_old(
     assert shots[-1]["time_ns"] <= end["time_ns"]
 
 
-# "replace" failed once in a whole run of the suite, for a reason not yet seen: out of the quick suite until it is.
 @pytest.mark.parametrize("how", ["disable", "withdraw", pytest.param("replace", marks=pytest.mark.slow)])
 def test_the_laser_is_off_when_it_is_disabled_or_the_plan_withdrawn(
     spin: Callable[..., Any], client: Any, tmp_path: Path, how: str
