@@ -89,18 +89,19 @@ class Arguments:
             node, name, text = Rule.parse(value)
             self.parameters.append((f"/**/{node}" if node else "/**", {name: load(text)}))
         elif argument == "--params-file":
-            self._add_file(load(Path(value).read_text(encoding="utf-8")), "")
+            self.add_tree(load(Path(value).read_text(encoding="utf-8")))
         elif argument == "--log-level":
             self.log_levels.append(value)
         else:
             raise RCLError(f"Found unknown ROS argument: '{argument}'")
 
-    def _add_file(self, tree: Any, path: str) -> None:
+    def add_tree(self, tree: Any, path: str = "") -> None:
+        """Take the parameters of a parameter file, as `load` returns it, or of its branch below the name `path`."""
         for key, branch in (tree or {}).items():
             if key == "ros__parameters":
                 self.parameters.append((path, dict(_flatten(branch, ""))))
             elif isinstance(branch, dict):
-                self._add_file(branch, f"{path}/{key.strip('/')}")
+                self.add_tree(branch, f"{path}/{key.strip('/')}")
 
     def renamed(self, key: str, node_name: str) -> str | None:
         """Return what the first rule for `key` (`__node` or `__ns`) makes of the node called `node_name`, if any."""

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from octn_ros.embedded.arguments import Arguments, load
 from octn_ros.errors import ConfigurationError
 from octn_ros.nodes.simulator_config import SimulatorConfig
 from octn_ros.simulation import PhantomConfig
 from octn_ros.volume import VolumeGeometry, load_volume
-
-_PARAMETERS = "ros__parameters"
 
 
 def read_parameters(path: str | Path, node: str) -> dict[str, Any]:
@@ -28,16 +26,14 @@ def read_parameters(path: str | Path, node: str) -> dict[str, Any]:
         ConfigurationError: the file cannot be read, or is no parameter file.
     """
     try:
-        tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        tree = load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigurationError(f"{path}: expected a ROS parameter file (YAML): {error}") from error
     if not isinstance(tree, Mapping):
-        raise ConfigurationError(f"{path}: expected names of nodes with {_PARAMETERS}, got {type(tree).__name__}")
-    found: dict[str, Any] = {}
-    for pattern, parameters in _sections(tree, ""):
-        if re.fullmatch(pattern, node):
-            found.update(_flat(parameters, ""))
-    return found
+        raise ConfigurationError(f"{path}: expected names of nodes with ros__parameters, got {type(tree).__name__}")
+    given = Arguments()
+    given.add_tree(tree)
+    return given.overrides(node)
 
 
 def simulated_scan(parameters: Mapping[str, Any], volume: str, spacing_um: tuple[float, ...]) -> VolumeGeometry:
@@ -64,26 +60,3 @@ def simulated_scan(parameters: Mapping[str, Any], volume: str, spacing_um: tuple
     return VolumeGeometry(
         (-(-shape[0] // factor), shape[1], shape[2]), (spacing_m[0] * factor, spacing_m[1], spacing_m[2])
     )
-
-
-def _sections(tree: Mapping[str, Any], above: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield the pattern of names and the parameters of each section, in the order of the file."""
-    for key, value in tree.items():
-        if not isinstance(value, Mapping):
-            continue
-        if key == _PARAMETERS:
-            yield above, value
-        else:
-            yield from _sections(value, above + "".join(map(_pattern, str(key).strip("/").split("/"))))
-
-
-def _pattern(part: str) -> str:
-    return {"**": "(/[^/]+)*", "*": "/[^/]+"}.get(part, "/" + re.escape(part))
-
-
-def _flat(parameters: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
-    for name, value in parameters.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{above}{name}.")
-        else:
-            yield f"{above}{name}", value

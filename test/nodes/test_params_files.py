@@ -39,6 +39,13 @@ def test_sections_match_by_name_and_wildcard(tmp_path: Path) -> None:
     assert scan.spacing_m == pytest.approx((3e-5, 2e-5, 3e-5))
 
 
+def test_numbers_are_read_as_the_nodes_read_them(tmp_path: Path) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text("/**: {ros__parameters: {phantom: {spacing_m: [2e-5, 1e-5, 3e-5]}}}", encoding="utf-8")
+    scan = simulated_scan(read_parameters(path, "/octn/simulator"), "", ())
+    assert scan.spacing_m == pytest.approx((2e-5, 1e-5, 3e-5))
+
+
 def test_the_file_of_the_package_is_the_default_phantom() -> None:
     scan = simulated_scan(read_parameters(REPOSITORY / "config" / "octn.yaml", "/octn/simulator"), "", ())
     assert (scan.shape, scan.spacing_m) == (PhantomConfig().shape, PhantomConfig().spacing_m)
