@@ -49,15 +49,14 @@ def passing_rates(
     steps = np.diff(parameter)
     limit = np.full(len(parameter), _FASTEST**2)
     gain = np.full(len(steps), np.inf)
-    for quantity in quantities:
-        first, second = _derivatives(parameter, stops, quantity.values)
+    derivatives = [_derivatives(parameter, stops, quantity.values) for quantity in quantities]
+    for quantity, (first, second) in zip(quantities, derivatives, strict=True):
         with np.errstate(divide="ignore"):
             limit = np.minimum(limit, (quantity.speed / first) ** 2)
             limit = np.minimum(limit, _BEND_SHARE * quantity.acceleration / second)
-    for quantity in quantities:
+    for quantity, (first, second) in zip(quantities, derivatives, strict=True):
         if not np.isfinite(quantity.acceleration):
             continue
-        first, second = _derivatives(parameter, stops, quantity.values)
         bending = second * limit
         left = quantity.acceleration - np.maximum(bending[1:], bending[:-1])
         with np.errstate(divide="ignore"):

@@ -97,8 +97,9 @@ class Trajectory:
         )
         waited = np.concatenate(([0.0], np.cumsum(np.repeat(pauses[:-1], _PLACES) * stops[:-1])))
         self._places, self._rates = places, rates
-        self._leaving_s = passing_times(places, rates) + np.append(waited[1:], waited[-1])
-        self._arriving_s = passing_times(places, rates) + waited
+        moving_s = passing_times(places, rates)
+        self._leaving_s = moving_s + np.append(waited[1:], waited[-1])
+        self._arriving_s = moving_s + waited
         self.times_s = self._arriving_s[::_PLACES]
         self._end_s += float(self._arriving_s[-1])
 
