@@ -38,7 +38,7 @@ class StationReports:
         self._tissue_motion = node.create_publisher(Vector3Stamped, "tissue_motion", qos.STREAM)
         self._laser_on = node.create_publisher(Bool, "laser_on", qos.LATCHED)
         self._removed_depth = node.create_publisher(Image, "removed_depth", qos.LATCHED)
-        self._status = status.StatusTopic(node, "execution_status", qos.LATCHED)
+        self._status = status.StatusTopic(node, "execution_status", qos.REPORTS)
 
     def values(self) -> dict[str, Any]:
         """Return the state of the platform as named figures."""

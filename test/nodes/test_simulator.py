@@ -38,7 +38,7 @@ class Bench:
         self.bscan = client.watch(Image, "bscan", profile)
         self.bscan_pose = client.watch(PoseStamped, "bscan_pose", profile)
         self.ee_pose = client.watch(PoseStamped, "ee_pose", qos.STREAM)
-        self.status = client.watch(DiagnosticArray, "execution_status")
+        self.status = client.watch(DiagnosticArray, "execution_status", qos.REPORTS)
         self.laser_on = client.watch(Bool, "laser_on")
         self.removed = client.watch(Image, "removed_depth")
         self.waypoints = client.node.create_publisher(PoseArray, "waypoints", qos.LATCHED)
@@ -370,7 +370,7 @@ def test_the_laser_is_off_when_the_plan_has_become_too_old(
     assert shots[-1]["time_ns"] <= end["time_ns"]
 
 
-@pytest.mark.parametrize("how", ["disable", "withdraw", pytest.param("replace", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("how", ["disable", "withdraw", "replace"])
 def test_the_laser_is_off_when_it_is_disabled_or_the_plan_withdrawn(
     spin: Callable[..., Any], client: Any, tmp_path: Path, how: str
 ) -> None:
