@@ -14,6 +14,7 @@ from rclpy.node import Node
 
 from octn_ros.errors import ConfigurationError
 from octn_ros.nodes import interfaces, security_policy
+from octn_ros.nodes.every_node import NODES
 from octn_ros.nodes.interface_page import interface_page
 
 REPOSITORY = Path(__file__).parents[1]
@@ -78,7 +79,7 @@ def test_the_page_names_each_call_that_makes_a_topic_or_service(ros: None, monke
     note("create_publisher", "Publishes", "resolve_topic_name")
     note("create_subscription", "Subscribes to", "resolve_topic_name")
     note("create_service", "Services", "resolve_service_name")
-    for kind in interfaces.NODES:
+    for kind in NODES:
         kind().destroy_node()
     said = rows()
     assert said.keys() == made.keys() == {"trainer", "query", "planner", "simulator"}

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import rclpy
-
 from octn_ros.errors import ConfigurationError
-from octn_ros.nodes import process
+from octn_ros.nodes.every_node import print_text
 from octn_ros.nodes.interface_meanings import MEANINGS
 from octn_ros.nodes.interfaces import OFFERS, PUBLISHES, SUBSCRIBES, Interface, all_interfaces
 
@@ -71,7 +69,4 @@ def _section(interfaces: Sequence[Interface]) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    rclpy.init(args=["interface_page", "--ros-args", "--log-level", "error"])
-    print(interface_page(list(all_interfaces())), end="")
-    rclpy.try_shutdown()
-    process.leave_workers_behind()
+    print_text(lambda: interface_page(list(all_interfaces())))

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from octn_ros.nodes.planner import Planner
-from octn_ros.nodes.query import Query
-from octn_ros.nodes.simulator import Simulator
-from octn_ros.nodes.trainer import Trainer
+from octn_ros.nodes.every_node import every_node
 
-NODES: tuple[Callable[..., Node], ...] = (Trainer, Query, Planner, Simulator)
 PUBLISHES, SUBSCRIBES, OFFERS = "publishes", "subscribes", "offers"
 # Every node of rclpy has these, whatever its author does.
 PARAMETER_SERVICES = (
@@ -75,13 +71,8 @@ def interfaces_of(node: Node) -> list[Interface]:
 
 
 def all_interfaces() -> Iterator[list[Interface]]:
-    """Yield those of each node in turn; rclpy must be initialised. Makes each node once and ends it again."""
-    for kind in NODES:
-        node = kind()
-        try:
-            yield interfaces_of(node)
-        finally:
-            node.destroy_node()
+    """Return those of each node in turn; rclpy must be initialised. Makes each node once and ends it again."""
+    return (interfaces_of(node) for node in every_node())
 
 
 def _relative(node: Node, name: str) -> str:

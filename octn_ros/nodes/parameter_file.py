@@ -10,16 +10,10 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-import rclpy
 from rclpy.node import Node
 
-from octn_ros.nodes import process
-from octn_ros.nodes.planner import Planner
-from octn_ros.nodes.query import Query
-from octn_ros.nodes.simulator import Simulator
-from octn_ros.nodes.trainer import Trainer
+from octn_ros.nodes.every_node import every_node, print_text
 
-NODES = (Trainer, Query, Planner, Simulator)
 WIDTH = 110  # of a comment
 
 _HEAD = """\
@@ -38,12 +32,8 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service")
 def parameter_file() -> str:
     """Return the text of config/octn.yaml; rclpy must be initialised. Makes each node once and ends it again."""
     parts = [_HEAD]
-    for kind in NODES:
-        node = kind()
-        try:
-            parts.append("\n".join((f"/**/{node.get_name()}:", "  ros__parameters:", *_lines(node), "")))
-        finally:
-            node.destroy_node()
+    for node in every_node():
+        parts.append("\n".join((f"/**/{node.get_name()}:", "  ros__parameters:", *_lines(node), "")))
     return "\n".join(parts)
 
 
@@ -72,7 +62,4 @@ def _scalar(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    rclpy.init(args=[])
-    print(parameter_file(), end="")
-    rclpy.try_shutdown()
-    process.leave_workers_behind()
+    print_text(parameter_file)

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
-import rclpy
-
-from octn_ros.nodes import process
+from octn_ros.nodes.every_node import print_text
 from octn_ros.nodes.interfaces import OFFERS, PARAMETER_SERVICES, PUBLISHES, SUBSCRIBES, Interface, all_interfaces
 
 NAMESPACE = "/octn"
@@ -90,7 +88,4 @@ def _rule(what: str, may: str, names: Iterable[str]) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    rclpy.init(args=["security_policy", "--ros-args", "--log-level", "error"])
-    print(security_policy(list(all_interfaces())), end="")
-    rclpy.try_shutdown()
-    process.leave_workers_behind()
+    print_text(lambda: security_policy(list(all_interfaces())))

@@ -8,7 +8,8 @@ import pytest
 import rclpy
 import yaml
 
-from octn_ros.nodes.parameter_file import NODES, parameter_file
+from octn_ros.nodes.every_node import NODES
+from octn_ros.nodes.parameter_file import parameter_file
 from octn_ros.resources import config_path
 
 
