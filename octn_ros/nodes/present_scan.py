@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
-from octn_ros.field import field_hash, volume_parts
+from octn_ros.field import FieldDescription, field_hash, volume_parts
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.field_store import FieldStore, KeptField
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
@@ -129,13 +129,8 @@ class PresentScan:
         self._keep(kept)
         return True
 
-    def show_kept(self, kept: KeptField) -> None:
-        """Publish a field from the disk, of the scan that it was fitted to then.
-
-        Raises:
-            CheckpointError: it is no field.
-        """
-        description = kept.load().description
+    def show_kept(self, kept: KeptField, description: FieldDescription) -> None:
+        """Publish a field from the disk, which its description says more of, of the scan that it was fitted to then."""
         with self._lock:
             self._stamp_ns, self._pose, self._kept = kept.stamp_ns, kept.pose, kept
             self._enface.publish(conversions.to_grid(kept.enface, description.geometry, kept.stamp_ns))

@@ -198,8 +198,8 @@ class Trainer(Node):
             kept = self._store.load()
             if kept is None:
                 return
-            self._present.show_kept(kept)
             field = kept.load()
+            self._present.show_kept(kept, field.description)
         except OctnError as error:
             self._diagnostics.failed(str(error))
             self._progress.report(status.WARN, f"no kept field: {error}", {"state": "not restored"})
