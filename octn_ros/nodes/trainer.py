@@ -18,6 +18,7 @@ from octn_ros.errors import OctnError, VolumeError
 from octn_ros.field import NeuralField
 from octn_ros.field.device import torch_device
 from octn_ros.nodes import conversions, process, qos, status
+from octn_ros.nodes.answers import Answers
 from octn_ros.nodes.bscan_stream import BScanStream
 from octn_ros.nodes.cscan_files import CScanFiles
 from octn_ros.nodes.diagnostics import NodeDiagnostics
@@ -58,6 +59,7 @@ class Trainer(Node):
 
         self._diagnostics = NodeDiagnostics(self, self._describe)
         self._progress = status.StatusTopic(self, "fit_progress", qos.REPORTS)
+        self._answers = Answers(self._diagnostics, self._progress)
         self._present = PresentScan(self, self._poses, self._largest_pose_gap_s, self._store)
         self._fitter = FieldFitter(
             self._device, self._present, self._progress, self._diagnostics.failed, self.context.ok
@@ -134,29 +136,25 @@ class Trainer(Node):
 
     def _load_cscan(self, request: LoadMap.Request, response: LoadMap.Response) -> LoadMap.Response:
         response.result = LoadMap.Response.RESULT_UNDEFINED_FAILURE
-        with self._diagnostics.request("load_cscan") as asked:
-            reason, state = "", "refused"
-            try:
-                path = self._files.locate(request.map_url)
-                if not path.exists():
-                    response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
-                    raise VolumeError(f"{path}: no such file or folder; expected a C-scan, as a path or a file:// URL")
-                response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
-                volume = self._files.read(path, self._config.config().file_spacing_um)
-                response.result = LoadMap.Response.RESULT_UNDEFINED_FAILURE
-                stamp_ns = volume.stamp_ns or self.get_clock().now().nanoseconds
-                response.map = self._accept(dataclasses.replace(volume, stamp_ns=stamp_ns)).grid
-                response.result = LoadMap.Response.RESULT_SUCCESS
-            except (OctnError, OSError) as error:
-                reason = f"load_cscan refused: {error}"
-            except MemoryError:
-                reason = "load_cscan refused: the C-scan does not fit into memory; lower largest_scan_voxels"
-            except Exception as error:  # a fault of ours: the node and its callers live on
-                reason, state = f"load_cscan failed: {type(error).__name__}: {error}", "failed"
-            if reason:
-                asked.refused(reason)
-                self._progress.report(status.ERROR, reason, {"state": state})
+        self._answers.to("load_cscan", lambda: self._load(request.map_url, response))
         return response
+
+    def _load(self, url: str, response: LoadMap.Response) -> None:
+        try:
+            path = self._files.locate(url)
+            if not path.exists():
+                response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
+                raise VolumeError(f"{path}: no such file or folder; expected a C-scan, as a path or a file:// URL")
+            response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
+            volume = self._files.read(path, self._config.config().file_spacing_um)
+            response.result = LoadMap.Response.RESULT_UNDEFINED_FAILURE
+            stamp_ns = volume.stamp_ns or self.get_clock().now().nanoseconds
+            response.map = self._accept(dataclasses.replace(volume, stamp_ns=stamp_ns)).grid
+            response.result = LoadMap.Response.RESULT_SUCCESS
+        except OSError as error:
+            raise VolumeError(str(error)) from error
+        except MemoryError as error:
+            raise VolumeError("the C-scan does not fit into memory; lower largest_scan_voxels") from error
 
     def _refit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._diagnostics.request("refit") as asked:
