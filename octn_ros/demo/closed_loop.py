@@ -12,16 +12,15 @@ import octn_ros.nodes  # noqa: F401 - makes the message packages importable wher
 # isort: split
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
-from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.demo.ablation_request import AblationRequest, PassReport, Planning, next_pass
 from octn_ros.demo.graph import DemoError, demo_graph
-from octn_ros.demo.session import ANSWER_S, EXECUTION_S, FIT_GRACE_S, PLAN_S, SCAN_S, Show, Stopwatch
+from octn_ros.demo.services import ANSWER_S, enable_laser, plan_rectangle, trigger
+from octn_ros.demo.session import EXECUTION_S, FIT_GRACE_S, SCAN_S, Show, Stopwatch
 from octn_ros.demo.source import ScanSource
 from octn_ros.field import field_hash, loads_field
 from octn_ros.nodes import conversions, qos, status
@@ -87,7 +86,6 @@ def _parameters(
     simulator_parameters: Mapping[str, Any],
     audit_path: Path,
 ) -> dict[str, dict[str, Any]]:
-    geometry = source.volume.geometry
     laser = request.laser
     return {
         "simulator": {
@@ -101,11 +99,8 @@ def _parameters(
             **simulator_parameters,
         },
         "trainer": {
-            "bscan_count": geometry.shape[0],
-            "spacing_um": [s * 1e6 for s in geometry.spacing_m],
-            "intensity_scale": source.volume.intensity_scale,
+            **source.trainer_parameters,
             "warm_start": True,
-            "field_path": "",
             **fit_parameters,
         },
         "planner": {
@@ -167,7 +162,7 @@ class _Loop:
         seen = len(self._execution.messages)
         self._show("scanning", 0.0, "")
         with self._watch.part("scan"):
-            self._trigger("scan")
+            trigger(self._client, "scan", SCAN_S)
             said = self._later(self._execution, seen, SCAN_S, lambda values, text: text.startswith("scanning"))
             stamp = said["scan_stamp_ns"]
         with self._watch.part("fit"):
@@ -198,25 +193,11 @@ class _Loop:
 
     def _plan(self, identity: str, number: int) -> dict[str, str]:
         self._show("planning", 0.0, f"pass {number}")
-        request = GetPlan.Request(tolerance=self._request.spacing_m)
-        for pose, (x, y) in zip((request.start, request.goal), self._request.corners_m, strict=True):
-            pose.header.frame_id = self._source.volume.geometry.frame
-            pose.pose.position.x, pose.pose.position.y = x, y
+        frame = self._source.volume.geometry.frame
         with self._watch.part("plan"):
-            reports = len(self._plan_status.messages)
-            response = self._client.call(GetPlan, "plan_raster", request, PLAN_S)
-            if not response.plan.poses:
-                refusals = [status.read(message)[1] for message in self._plan_status.messages[reports:]]
-                raise DemoError(refusals[-1] if refusals else "plan_raster gave an empty path and no reason")
-            plan = self._later(
-                self._plan_status,
-                reports,
-                ANSWER_S,
-                lambda values, text: values.get("state") == "planned" and values["field_hash"] == identity,
+            return plan_rectangle(
+                self._client, self._plan_status, self._request.corners_m, frame, self._request.spacing_m, identity
             )
-        if int(plan["waypoints"]) != len(response.plan.poses):
-            raise DemoError(f"expected {plan['waypoints']} poses from plan_raster, got {len(response.plan.poses)}")
-        return plan
 
     def _fire(self, plan: dict[str, str], planning: Planning, number: int) -> dict[str, str]:
         depth_um = planning.depth_m * 1e6
@@ -234,11 +215,9 @@ class _Loop:
             (result,) = self._client.call(SetParameters, "simulator/set_parameters", asked, ANSWER_S).results
             if not result.successful:
                 raise DemoError(f"simulator: laser.dwell_s: {result.reason}")
-            enabled = self._client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S)
-            if not enabled.success:
-                raise DemoError(f"enable_laser: {enabled.message}")
+            enable_laser(self._client)
             seen = len(self._execution.messages)
-            self._trigger("execute")
+            trigger(self._client, "execute", SCAN_S)
             ended = self._later(
                 self._execution, seen, EXECUTION_S, lambda values, text: values["state"] in ("done", "aborted")
             )
@@ -249,11 +228,6 @@ class _Loop:
     def _removed_map(self, number: int) -> NDArray[np.float64]:
         self._removed.wait(ANSWER_S, lambda message: len(self._removed.messages) > number)
         return conversions.image_to_array(self._removed.messages[number]).astype(np.float64)
-
-    def _trigger(self, service: str) -> None:
-        response = self._client.call(Trigger, service, Trigger.Request(), SCAN_S)
-        if not response.success:
-            raise DemoError(f"{service}: {response.message}")
 
     def _later(
         self, watch: Watch[Any], seen: int, timeout_s: float, accept: Callable[[dict[str, str], str], bool]

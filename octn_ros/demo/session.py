@@ -15,14 +15,13 @@ import octn_ros.nodes  # noqa: F401 - makes the message packages importable wher
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
-from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, PointCloud2
-from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.demo.graph import DemoError, demo_graph
 from octn_ros.demo.pictures import FitPoint
 from octn_ros.demo.rectangle import centred_rectangle
+from octn_ros.demo.services import ANSWER_S, enable_laser, plan_rectangle, trigger
 from octn_ros.demo.source import ScanSource
 from octn_ros.field import Field, field_hash, loads_field
 from octn_ros.nodes import conversions, qos, status
@@ -30,10 +29,8 @@ from octn_ros.nodes.client import GraphClient, Watch
 from octn_ros.volume import VolumeGeometry
 
 # How long is waited for what, in seconds: far longer than each takes on two busy cores.
-ANSWER_S = 15.0
 SCAN_S = 60.0
 FIT_GRACE_S = 60.0  # beyond the time budget: the last step and the evaluation
-PLAN_S = 60.0
 EXECUTION_S = 120.0
 LINE_SPACING_M = 50e-6
 TIME_FACTOR = 20.0  # the mock arm's clock runs so much faster: a raster of 3 x 3 mm takes most of a minute at 5 mm/s
@@ -149,20 +146,14 @@ class Ears:
 
 
 def _parameters(source: ScanSource, fit_parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    geometry = source.volume.geometry
-    scan = {
-        "bscan_count": geometry.shape[0],
-        "spacing_um": [s * 1e6 for s in geometry.spacing_m],
-        "intensity_scale": source.volume.intensity_scale,
-    }
     return {
         "simulator": {**source.simulator_parameters, "time_factor": TIME_FACTOR, "audit_path": ""},
-        "trainer": {"field_path": "", **scan, **fit_parameters},
+        "trainer": {**source.trainer_parameters, **fit_parameters},
     }
 
 
 def _scan(client: GraphClient, ears: Ears) -> None:
-    _trigger(client, "scan")
+    trigger(client, "scan")
     values = _wait_state(ears.fit_progress, ("fitting",), ("refused", "failed"), SCAN_S)
     if "stamp_ns" not in values:
         raise DemoError(f"expected the trainer to name the scan it fits, got {values}")
@@ -184,20 +175,8 @@ def _plan(client: GraphClient, ears: Ears, geometry: VolumeGeometry, field: str)
         return status.read(message)[2].get("field_hash") == field
 
     ears.plan_status.wait(ANSWER_S, of_this_field)  # "ready": the planner has the field too
-    corner, opposite = centred_rectangle(geometry)
-    request = GetPlan.Request(tolerance=LINE_SPACING_M)
-    for pose, (x, y) in ((request.start, corner), (request.goal, opposite)):
-        pose.header.frame_id = geometry.frame
-        pose.pose.position.x, pose.pose.position.y = x, y
-    reports = len(ears.plan_status.messages)
-    response = client.call(GetPlan, "plan_raster", request, PLAN_S)
-    if not response.plan.poses:
-        refusals = [status.read(message)[1] for message in ears.plan_status.messages[reports:]]
-        raise DemoError(refusals[-1] if refusals else "plan_raster gave an empty path and no reason")
-    plan = _wait_state(ears.plan_status, ("planned",), (), ANSWER_S)
-    if int(plan["waypoints"]) != len(response.plan.poses):
-        raise DemoError(f"expected {plan['waypoints']} poses from plan_raster, got {len(response.plan.poses)}")
-    return plan
+    corners = centred_rectangle(geometry)
+    return plan_rectangle(client, ears.plan_status, corners, geometry.frame, LINE_SPACING_M, field)
 
 
 def _waypoints(ears: Ears, plan: dict[str, str]) -> tuple[NDArray[np.float64], NDArray[np.void]]:
@@ -219,17 +198,9 @@ def _execute(client: GraphClient, ears: Ears, show: Show) -> dict[str, str]:
     client.node.create_subscription(
         DiagnosticArray, "execution_status", lambda message: _show_execution(message, show), qos.LATCHED
     )
-    enabled = client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S)
-    if not enabled.success:
-        raise DemoError(f"enable_laser: {enabled.message}")
-    _trigger(client, "execute")
+    enable_laser(client)
+    trigger(client, "execute")
     return _wait_state(ears.execution_status, ("done",), ("aborted",), EXECUTION_S)
-
-
-def _trigger(client: GraphClient, service: str) -> None:
-    response = client.call(Trigger, service, Trigger.Request(), ANSWER_S)
-    if not response.success:
-        raise DemoError(f"{service}: {response.message}")
 
 
 def _wait_state(

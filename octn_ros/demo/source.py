@@ -32,6 +32,17 @@ class ScanSource:
     simulator_parameters: dict[str, Any]
     description: dict[str, Any]
 
+    @property
+    def trainer_parameters(self) -> dict[str, Any]:
+        """Parameters of a trainer that is told what the B-scans do not say, and keeps no field."""
+        geometry = self.volume.geometry
+        return {
+            "bscan_count": geometry.shape[0],
+            "spacing_um": [s * 1e6 for s in geometry.spacing_m],
+            "intensity_scale": self.volume.intensity_scale,
+            "field_path": "",
+        }
+
 
 def phantom_source(config: PhantomConfig) -> ScanSource:
     """Make the phantom that the simulator makes from the same seed and configuration."""
