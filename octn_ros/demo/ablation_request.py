@@ -63,10 +63,14 @@ class AblationRequest:
         rows = (y_m >= y0 + band_m) & (y_m <= y1 - band_m)
         return np.asarray(rows[:, None] & columns[None, :])
 
-    def measured_depth_m(self, before: SurfaceMap, after: SurfaceMap) -> float:
-        """Return how much deeper the surface of a field lies: the median over the rectangle less a band of one spot."""
+    def measured_depths_m(self, before: SurfaceMap, after: SurfaceMap) -> NDArray[np.float64]:
+        """Return how much deeper the surface of a field lies [P], in the rectangle less a band of one spot radius."""
         inside = self.inside(before.lateral_m, before.bscan_m, self.laser.spot_radius_m)
-        return float(np.median((after.depth_m - before.depth_m)[inside]))
+        return np.asarray((after.depth_m - before.depth_m)[inside], dtype=np.float64)
+
+    def measured_depth_m(self, before: SurfaceMap, after: SurfaceMap) -> float:
+        """Return the median of `measured_depths_m`."""
+        return float(np.median(self.measured_depths_m(before, after)))
 
 
 @dataclass(frozen=True)

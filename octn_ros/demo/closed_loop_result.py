@@ -144,8 +144,7 @@ def closed_loop_result(
     inside = request.inside(x, y, band)
     final = record.removed_m[-1] if record.removed_m else np.zeros((len(y), len(x)))
     error_um = 1e6 * (final[inside] - request.depth_m)
-    first, last = record.surfaces[0], record.surfaces[-1]
-    measured = (last.depth_m - first.depth_m)[request.inside(first.lateral_m, first.bscan_m, band)]
+    measured = request.measured_depths_m(record.surfaces[0], record.surfaces[-1])
     outside_m = shots_outside_m(request, audit)
     (x0, y0), (x1, y1) = request.corners_m
     return ClosedLoopResult(
