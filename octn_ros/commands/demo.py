@@ -12,6 +12,9 @@ from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 
 if TYPE_CHECKING:
+    from octn_ros.demo.closed_loop_result import ClosedLoopResult
+    from octn_ros.demo.result import DemoResult
+    from octn_ros.demo.session import Show
     from octn_ros.demo.source import ScanSource
 
 # The quick fit ends by its steps on any machine.
@@ -62,49 +65,38 @@ class DemoCommand:
         if self.closed_loop and self.volume is not None:
             raise terminal.CommandError("--closed-loop needs tissue that can be cut: expected no --volume beside it")
         terminal.make_output_directory(self.output)
-        if self.closed_loop:
-            return self._run_closed_loop()
         with terminal.ProgressBar() as bar:
-            start = time.perf_counter()
             bar.show("loading", 0.0)
-            from octn_ros.demo.run import run_demo
-
-            source = self._source()
-            seconds = {"load": time.perf_counter() - start}
-            result = run_demo(source, QUICK_FIT if self.quick else FIT, self.output, bar.show, seconds, self.record)
+            result = self._ablate(bar.show) if self.closed_loop else self._execute_plan(bar.show)
         if self.json:
             terminal.print_json(result.to_plain())
         else:
-            terminal.print_table("octn demo", result.rows())
+            terminal.print_table("octn demo --closed-loop" if self.closed_loop else "octn demo", result.rows())
             terminal.say(f"Report: {result.report}")
-            self._say_recording()
+            if self.record is not None:
+                terminal.say(f"Recording: {self.record}")
         return 0
 
-    def _run_closed_loop(self) -> int:
-        with terminal.ProgressBar() as bar:
-            bar.show("loading", 0.0)
-            from octn_ros.demo.ablation_request import AblationRequest
-            from octn_ros.demo.closed_loop_report import closed_loop_demo
-            from octn_ros.demo.rectangle import LARGEST_SIDE_M, centred_rectangle
-            from octn_ros.simulation import PhantomConfig
+    def _execute_plan(self, show: Show) -> DemoResult:
+        start = time.perf_counter()
+        from octn_ros.demo.run import run_demo
 
-            config = PhantomConfig(**QUICK_CLOSED_LOOP) if self.quick else PhantomConfig()
-            largest = QUICK_CLOSED_LOOP_SIDE_M if self.quick else LARGEST_SIDE_M
-            depth_um = CLOSED_LOOP_DEPTH_UM if self.depth_um is None else self.depth_um
-            request = AblationRequest(depth_um * 1e-6, centred_rectangle(config.geometry, largest_m=largest))
-            fit = QUICK_FIT if self.quick else CLOSED_LOOP_FIT
-            result = closed_loop_demo(config, request, fit, self.output, bar.show, self.record)
-        if self.json:
-            terminal.print_json(result.to_plain())
-        else:
-            terminal.print_table("octn demo --closed-loop", result.rows())
-            terminal.say(f"Report: {result.report}")
-            self._say_recording()
-        return 0
+        source = self._source()
+        seconds = {"load": time.perf_counter() - start}
+        return run_demo(source, QUICK_FIT if self.quick else FIT, self.output, show, seconds, self.record)
 
-    def _say_recording(self) -> None:
-        if self.record is not None:
-            terminal.say(f"Recording: {self.record}")
+    def _ablate(self, show: Show) -> ClosedLoopResult:
+        from octn_ros.demo.ablation_request import AblationRequest
+        from octn_ros.demo.closed_loop_report import closed_loop_demo
+        from octn_ros.demo.rectangle import LARGEST_SIDE_M, centred_rectangle
+        from octn_ros.simulation import PhantomConfig
+
+        config = PhantomConfig(**QUICK_CLOSED_LOOP) if self.quick else PhantomConfig()
+        largest = QUICK_CLOSED_LOOP_SIDE_M if self.quick else LARGEST_SIDE_M
+        depth_um = CLOSED_LOOP_DEPTH_UM if self.depth_um is None else self.depth_um
+        request = AblationRequest(depth_um * 1e-6, centred_rectangle(config.geometry, largest_m=largest))
+        fit = QUICK_FIT if self.quick else CLOSED_LOOP_FIT
+        return closed_loop_demo(config, request, fit, self.output, show, self.record)
 
     def _source(self) -> ScanSource:
         from octn_ros.demo.source import phantom_source, recorded_source
