@@ -21,18 +21,14 @@ MOST_VERTICES = 2 * BRICK
 
 
 @njit(**KERNEL)
-def position_of(coordinate: np.float32, scale: np.float32) -> np.float32:
-    """Return the position in cells, half a cell in, of a canonical coordinate held in [-1, 1]; NaN counts as -1."""
+def cell_of(coordinate: np.float32, scale: np.float32, smooth: bool) -> tuple[int, np.float32, np.float32]:
+    """Return the cell of a canonical coordinate held in [-1, 1], the share of its far vertex, and that share's slope
+    per unit. NaN counts as -1.
+    """
     held = np.float32(-1.0)
     if coordinate > held:
         held = min(coordinate, np.float32(1.0))
-    return (held + np.float32(1.0)) * np.float32(0.5) * scale + np.float32(0.5)
-
-
-@njit(**KERNEL)
-def cell_of(coordinate: np.float32, scale: np.float32, smooth: bool) -> tuple[int, np.float32, np.float32]:
-    """Return the cell of a canonical coordinate, the share of its far vertex, and that share's slope per unit."""
-    position = position_of(coordinate, scale)
+    position = (held + np.float32(1.0)) * np.float32(0.5) * scale + np.float32(0.5)
     cell = np.int64(math.floor(position))
     share = position - np.float32(cell)
     slope = scale
@@ -72,9 +68,7 @@ def walk_axis(
     """
     count = 0
     for k in range(BRICK):
-        position = position_of(coordinates[k], scale)
-        cell = np.int64(math.floor(position))
-        weight = position - np.float32(cell)
+        cell, share[k], _ = cell_of(coordinates[k], scale, smooth)
         if count >= 2 and numbers[count - 2] == cell:
             near[k] = count - 2
         elif count >= 1 and numbers[count - 1] == cell:
@@ -86,9 +80,6 @@ def walk_axis(
             numbers[count + 1] = cell + 1
             near[k] = count
             count += 2
-        if smooth:
-            weight = weight * weight * (np.float32(3.0) - np.float32(2.0) * weight)
-        share[k] = weight
     return count
 
 
