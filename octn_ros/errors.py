@@ -43,3 +43,8 @@ class OctnWarning(UserWarning):
 
 class BackendWarning(OctnWarning):
     """A fast back end was asked for, or would be worth having, and plain torch does its work instead."""
+
+
+def in_words(error: Exception) -> str:
+    """Return the reason that an error gives, and of one that is none of the package's also its type."""
+    return str(error) if isinstance(error, OctnError) else f"{type(error).__name__}: {error}"

@@ -9,7 +9,7 @@ from dataclasses import field as dataclass_field
 from importlib.util import find_spec
 from typing import Any
 
-from octn_ros.errors import ConfigurationError, OctnError
+from octn_ros.errors import ConfigurationError, in_words
 from octn_ros.evaluation.benchmark import BenchmarkRequest, Row
 from octn_ros.evaluation.kept_rows import KeptRows, ScanResult
 from octn_ros.evaluation.scans import BenchScan, ScanSource
@@ -96,7 +96,7 @@ def run_volumes(
             results[left[place]] = outcome
             kept.write(source, outcome)
         else:
-            failed[left[place]] = f"{source.name} is left out: {_in_words(outcome)}."
+            failed[left[place]] = f"{source.name} is left out: {in_words(outcome)}."
     rows: list[Row] = []
     pictures: dict[str, bytes] = {}
     for number in range(len(sources)):
@@ -141,10 +141,6 @@ def _one_by_one(
             yield number, work(source.load())
         except Exception as error:  # whatever it is, it must not end the others' work
             yield number, error
-
-
-def _in_words(error: Exception) -> str:
-    return str(error) if isinstance(error, OctnError) else f"{type(error).__name__}: {error}"
 
 
 def _memory_gigabytes() -> float:

@@ -9,7 +9,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
-from octn_ros.errors import OctnError, VolumeError
+from octn_ros.errors import VolumeError, in_words
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.bscan_pairs import BScanPairs
 from octn_ros.nodes.pose_history import PoseHistory
@@ -86,10 +86,8 @@ class BScanStream:
     def _guarded(self, step: Callable[[], None]) -> None:
         try:
             step()
-        except OctnError as error:
-            self._drop(f"C-scan dropped: {error}")
-        except Exception as error:  # a fault of ours, or memory that ran out: the node lives on
-            self._drop(f"C-scan dropped: {type(error).__name__}: {error}")
+        except Exception as error:  # also a fault of ours, or memory that ran out: the node lives on
+            self._drop(f"C-scan dropped: {in_words(error)}")
         # Whatever was dropped or not, there may be something to look for. A timer that runs is left to run.
         if self.state and self._look_timer.is_canceled():
             self._look_timer.reset()

@@ -12,7 +12,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
-from octn_ros.errors import CheckpointError, OctnError, QueryError
+from octn_ros.errors import CheckpointError, QueryError, in_words
 from octn_ros.field import Field, field_hash, loads_field
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.parameters import ConfigParameters
@@ -119,9 +119,8 @@ class FieldReceiver:
         except Exception as error:  # also a fault of ours, or the device's memory is full: the node lives on
             self._current = last
             kept = "the last one is kept" if last else "there is none"
-            reason = str(error) if isinstance(error, OctnError) else f"{type(error).__name__}: {error}"
             outdated = last is not None and conversions.stamp_to_ns(message.header.stamp) != last.stamp_ns
-            self._refused(f"field refused, {kept}: {reason}", outdated)
+            self._refused(f"field refused, {kept}: {in_words(error)}", outdated)
 
     def _checked(self, message: CompressedImage) -> ReceivedField:
         requirements = self._requirements.config()

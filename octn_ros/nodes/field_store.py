@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octn_ros.errors import CheckpointError, OctnError
+from octn_ros.errors import CheckpointError, in_words
 from octn_ros.field import InterpolatedField, NeuralField, field_hash, loads_field
 from octn_ros.nodes.pose_history import StampedPose
 from octn_ros.planning.transforms import make_rigid
@@ -117,7 +117,7 @@ class FieldStore:
         except OSError as error:
             raise CheckpointError(f"{self.path}: cannot read the kept field: {error.strerror or error}") from error
         except Exception as error:  # whatever a damaged file makes its readers raise, memory that ran out included
-            raise CheckpointError(f"{self.path}: the kept field is damaged: {_words(error)}") from error
+            raise CheckpointError(f"{self.path}: the kept field is damaged: {in_words(error)}") from error
 
 
 def store_path(parameter: str, node_name: str) -> Path | None:
@@ -166,7 +166,3 @@ def _checked(parts: dict[str, bytes]) -> KeptField:
             f"{(kept.stamp_ns, kept.frame, kept.enface.shape)} of {kept.enface.dtype}"
         )
     return kept
-
-
-def _words(error: Exception) -> str:
-    return str(error) if isinstance(error, OctnError) else f"{type(error).__name__}: {error}"

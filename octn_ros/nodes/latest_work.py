@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from octn_ros.errors import OctnError
+from octn_ros.errors import in_words
 from octn_ros.nodes.worker import Worker
 
 CLOSE_S = 5.0
@@ -56,7 +56,7 @@ class LatestWork:
                 pass
             except Exception as error:  # a fault of ours, or memory that ran out: the node lives on
                 if self._node.context.ok():  # else the graph is gone, and nothing could be published
-                    self._failed(str(error) if isinstance(error, OctnError) else f"{type(error).__name__}: {error}")
+                    self._failed(in_words(error))
 
         self._worker.submit(job, restart=True)
 
