@@ -65,6 +65,7 @@ class Arm:
         ee2base: present pose of the end effector in the base frame.
         commanded2base: where it would be without its stray.
         laser_on: whether the beam's shutter is open.
+        path: the plan that is staged or being executed, None if there is none.
         history: the newest steps, oldest first.
 
     Raises:
@@ -88,7 +89,7 @@ class Arm:
         self._laser2ee = checked_poses("laser2ee", laser2ee)
         self._ee2laser = inverse(self._laser2ee)
         self._stray = stray
-        self._path: LaserPath | None = None
+        self.path: LaserPath | None = None
         self.commanded2base = self.ee2base
         self._scan_ee2base = self.ee2base
         self._focus2base = np.zeros((0, 4, 4))
@@ -147,7 +148,7 @@ class Arm:
                 f"expected end-effector positions within the reach of {self.config.reach_m:g} m, got "
                 f"{distance_m[farthest]:.3f} m at waypoint {farthest} of {len(path)}"
             )
-        self._path, self._scan_ee2base, self._focus2base = path, scan_pose, focus2base
+        self.path, self._scan_ee2base, self._focus2base = path, scan_pose, focus2base
         self._passed = 0
         self.state = "staged"
 
@@ -161,9 +162,9 @@ class Arm:
         Raises:
             ExecutionError: nothing is staged.
         """
-        if self.state != "staged" or self._path is None:
+        if self.state != "staged" or self.path is None:
             raise ExecutionError(f"expected a staged plan, got none (the arm is {self.state}); stage a plan first")
-        limit, path = self.config.max_speed_m_s, self._path
+        limit, path = self.config.max_speed_m_s, self.path
         targets = np.concatenate([self._focus2base, (self._scan_ee2base @ self._laser2ee)[None]])
         # The way to the first waypoint and the way back carry no laser, so the arm's own limit is the only one.
         speeds = np.concatenate([[limit], np.minimum(path.speed_m_s[1:], limit), [limit]])
@@ -271,5 +272,5 @@ class Arm:
         if self.laser_on:
             self.laser_on = False
             self._remember()
-        self._path = self._schedule = None
+        self.path = self._schedule = None
         self.state = state

@@ -96,7 +96,6 @@ class Station:
         self.no_plan = "none has been received"
         self.scan_stamp_ns = 0
         self._scan_place_m, self._scan_hash = np.zeros(3), ""
-        self._path: LaserPath | None = None
         self._looked_ns = 0  # when the interlock was last looked at in an execution
 
     @property
@@ -164,17 +163,16 @@ class Station:
         except ExecutionError as error:
             self.no_plan = f"the last one was refused: {error}"
             raise
-        self._path = path
 
     @property
     def staged(self) -> LaserPath | None:
         """The staged plan, None if there is none."""
-        return self._path if self.arm.state == "staged" else None
+        return self.arm.path if self.arm.state == "staged" else None
 
     @property
     def running(self) -> LaserPath | None:
         """The plan that is being executed, None if there is none."""
-        return self._path if self.arm.state == "executing" else None
+        return self.arm.path if self.arm.state == "executing" else None
 
     def withdraw(self, why: str = "the planner has withdrawn the last one") -> None:
         """Drop the staged plan, if there is one, because whoever made it has taken it back or is gone."""
@@ -297,9 +295,10 @@ class Station:
         self.execution.fire(shots, stamps, self.tissue_place_m(now_ns))
 
     def _why_off(self, interlock: InterlockConfig, planner_alive: bool, now_ns: int) -> str | None:
-        assert self._path is not None
+        path = self.arm.path
+        assert path is not None
         moved_m = float(np.linalg.norm(self.measured_motion_m(now_ns)))
-        age_s = (now_ns - self._path.stamp_ns) * 1e-9
+        age_s = (now_ns - path.stamp_ns) * 1e-9
         # With the shutter closed nothing is done to the tissue meanwhile, and the arm just goes on later.
         stalled_s = (now_ns - self._looked_ns) * 1e-9 if self.arm.laser_on else 0.0
         return why_off(interlock, Conditions(self.enabled, age_s, planner_alive, moved_m, stalled_s))
