@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from octn_ros.field.compiled.model import workers
+from octn_ros.field.compiled.model import in_parts
 from octn_ros.field.compiled.options import KERNEL
 
 # Rows of A-scans that a thread takes at a time.
@@ -35,10 +35,10 @@ def strongest_steps_compiled(
     strength, air = np.empty(place.shape, np.float32), np.empty(place.shape, np.float32)
     beside = lateral[0] // 2, lateral[1] // 2
 
-    def part(start: int) -> None:
-        _rows(ascans, start, min(start + _ROWS, rows), box, beside, place, strength, air)
+    def part(start: int, stop: int) -> None:
+        _rows(ascans, start, stop, box, beside, place, strength, air)
 
-    list(workers().map(part, range(0, rows, _ROWS)))
+    in_parts(part, rows, _ROWS)
     return place, strength, air
 
 

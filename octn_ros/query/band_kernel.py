@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from octn_ros.field.compiled.model import workers
+from octn_ros.field.compiled.model import in_parts
 from octn_ros.field.compiled.options import KERNEL
 from octn_ros.query.band_index import BLOCK
 
@@ -43,7 +42,8 @@ class BandSearch:
         """Return the number of points on each plane [bscan]."""
         counts = np.zeros(len(self.samples), np.int64)
         if self.matching.any():
-            self._each(lambda start, stop: _count(*self._arguments(), start, stop, counts))
+            arguments = self._arguments()
+            in_parts(lambda start, stop: _count(*arguments, start, stop, counts), len(counts), _PLANES)
         return counts
 
     def list_points(
@@ -63,11 +63,12 @@ class BandSearch:
         """
         places = np.concatenate([[0], np.cumsum(counts)])
         if len(intensity):
-            self._each(lambda start, stop: _list(*self._arguments(), start, stop, places, *axes_m, points_m, intensity))
+            arguments = self._arguments()
 
-    def _each(self, part: Callable[[int, int], None]) -> None:
-        planes = len(self.samples)
-        list(workers().map(lambda start: part(start, min(start + _PLANES, planes)), range(0, planes, _PLANES)))
+            def part(start: int, stop: int) -> None:
+                _list(*arguments, start, stop, places, *axes_m, points_m, intensity)
+
+            in_parts(part, len(counts), _PLANES)
 
     def _arguments(self) -> tuple[object, ...]:
         inside = np.broadcast_to(self.inside, self.samples.shape)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from octn_ros.field.compiled.arrays import Encoding, Perceptron, WayBack
 from octn_ros.field.compiled.layers import run_backwards, run_network
-from octn_ros.field.compiled.model import way_back_of, workers
+from octn_ros.field.compiled.model import in_parts, way_back_of
 from octn_ros.field.compiled.options import KERNEL, TILE
 from octn_ros.field.compiled.walk import cell_of, table_row
 
@@ -34,12 +34,11 @@ def evaluate_lines(
         return values
     # Any cell that a depth can lie in has two vertices below this.
     vertices = int(np.floor(encoding.scale[:, 1].max() + np.float32(0.5))) + 2
-    chunk = max(1, _POINTS // depths)
 
-    def part(start: int) -> None:
-        _lines(lateral, bscan, axial, start, min(start + chunk, lines), vertices, encoding, perceptron, values)
+    def part(start: int, stop: int) -> None:
+        _lines(lateral, bscan, axial, start, stop, vertices, encoding, perceptron, values)
 
-    list(workers().map(part, range(0, lines, chunk)))
+    in_parts(part, lines, max(1, _POINTS // depths))
     values[np.isnan(lateral) | np.isnan(bscan)] = np.nan
     values[np.isnan(axial)] = np.nan
     return values
@@ -60,11 +59,10 @@ def evaluate_axial_slopes(
     values, slopes = np.empty(count, np.float32), np.empty(count, np.float32)
     back = way_back_of(perceptron)
 
-    def part(start: int) -> None:
-        stop = min(start + _POINTS, count)
+    def part(start: int, stop: int) -> None:
         _axial_slopes(lateral, axial, bscan, start, stop, encoding, perceptron, back, values, slopes)
 
-    list(workers().map(part, range(0, count, _POINTS)))
+    in_parts(part, count, _POINTS)
     nowhere = np.isnan(lateral) | np.isnan(axial) | np.isnan(bscan)
     values[nowhere] = np.nan
     slopes[nowhere] = np.nan

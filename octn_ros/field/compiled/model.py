@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -58,6 +59,11 @@ def way_back_of(perceptron: Perceptron) -> WayBack:
 def workers() -> ThreadPoolExecutor:
     """Return the threads that run kernels, as many as torch would use."""
     return ThreadPoolExecutor(min(torch.get_num_threads(), os.cpu_count() or 1), "octn-kernel")
+
+
+def in_parts(part: Callable[[int, int], None], count: int, size: int) -> None:
+    """Do a job from `start` to `stop` for every `size` of `count` things, on the threads that run kernels."""
+    list(workers().map(lambda start: part(start, min(start + size, count)), range(0, count, size)))
 
 
 def _padded(parameter: torch.Tensor) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from octn_ros.field.compiled.arrays import Encoding, Perceptron, WayBack
 from octn_ros.field.compiled.layers import run_backwards, run_network
-from octn_ros.field.compiled.model import way_back_of, workers
+from octn_ros.field.compiled.model import in_parts, way_back_of
 from octn_ros.field.compiled.options import KERNEL, TILE
 from octn_ros.field.compiled.walk import cell_of, table_row
 
@@ -30,12 +30,11 @@ def evaluate_points(
     values = np.empty(count, np.float32)
     gradient = np.empty((count if gradients else 0, 3), np.float32)
     back = way_back_of(perceptron)
-    chunk = TILE * _TILES
 
-    def part(start: int) -> None:
-        _part(points, start, min(start + chunk, count), encoding, perceptron, back, gradients, values, gradient)
+    def part(start: int, stop: int) -> None:
+        _part(points, start, stop, encoding, perceptron, back, gradients, values, gradient)
 
-    list(workers().map(part, range(0, count, chunk)))
+    in_parts(part, count, TILE * _TILES)
     nowhere = np.flatnonzero(np.isnan(points).any(axis=1))
     values[nowhere] = np.nan
     if gradients:
