@@ -15,16 +15,15 @@ from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.nodes import status
 from octn_ros.nodes.conversions import cloud_to_tool_path, matrix_to_pose_stamped, pose_to_matrix
+from octn_ros.nodes.qos import LATCHED
 from octn_ros.planning import from_translation_quaternion, invert, load_calibration
 from octn_ros.resources import config_path
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # as the planner publishes its plans
 POSE_PERIOD_S = 0.02
 
 

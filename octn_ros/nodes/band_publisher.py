@@ -67,7 +67,7 @@ class BandPublisher:
     ) -> None:
         self._wanted, self._field, self._failed = wanted, field, failed
         self._publisher = node.create_publisher(PointCloud2, "band", qos.LATCHED)
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()
         self._asked = False
         self._work = LatestWork(node, "band", failed)
 
@@ -109,16 +109,16 @@ class BandPublisher:
                 raise
 
     def _publish(self, look: Callable[[], None]) -> str:
-        with self._lock:
-            began = time.perf_counter()
-            received = self._field()
-            query, region = self._wanted()
-            found = find_band(received.field, query, region, progress=lambda _: look())
-            self._send(received, np.column_stack([found.points_m, found.intensity]))
-            return (
-                f"{len(found.intensity):,} points of {found.searched:,} from {query.low:g} to {query.high:g} "
-                f"in {time.perf_counter() - began:.2f} s"
-            )
+        """Find and publish the band; the lock is held. Returns what was found, in words."""
+        began = time.perf_counter()
+        received = self._field()
+        query, region = self._wanted()
+        found = find_band(received.field, query, region, progress=lambda _: look())
+        self._send(received, np.column_stack([found.points_m, found.intensity]))
+        return (
+            f"{len(found.intensity):,} points of {found.searched:,} from {query.low:g} to {query.high:g} "
+            f"in {time.perf_counter() - began:.2f} s"
+        )
 
     def _send(self, received: ReceivedField, columns: np.ndarray) -> None:
         self._publisher.publish(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
@@ -114,16 +114,10 @@ class NodeDiagnostics:
             return  # the graph is gone
         try:
             level, message, values = self._describe()
-            pairs = status.key_values({**values, **self._figures()})
+            report = status.to_report(self._node, self._name, level, message, {**values, **self._figures()})
         except Exception as error:  # a fault of ours must not end the reports, least of all silently
-            level, message = status.ERROR, f"the state cannot be told: {type(error).__name__}: {error}"
-            pairs = status.key_values(self._figures())
-        report = DiagnosticArray(
-            status=[
-                DiagnosticStatus(level=level, name=self._name, message=message, hardware_id="octn_ros", values=pairs)
-            ]
-        )
-        report.header.stamp = self._node.get_clock().now().to_msg()
+            message = f"the state cannot be told: {type(error).__name__}: {error}"
+            report = status.to_report(self._node, self._name, status.ERROR, message, self._figures())
         self._publisher.publish(report)
 
     def _figures(self) -> dict[str, Any]:

@@ -116,8 +116,7 @@ class Planner(Node):
     def _on_field(self, received: ReceivedField) -> None:
         of_field = {"state": "ready", **self._told(received)}
         if self._publisher.stands:
-            self._publisher.withdraw(received)
-            self._view.clear(received)
+            self._withdraw(received)
             self._status.report(status.WARN, "a new field has come; the plan of the last one is withdrawn", of_field)
         else:
             if not self._publisher.told:
@@ -127,8 +126,7 @@ class Planner(Node):
     def _on_bad_field(self, reason: str, outdated: bool) -> None:
         kept = self._fields.current
         if kept is not None and outdated and self._publisher.stands:
-            self._publisher.withdraw(kept)
-            self._view.clear(kept)
+            self._withdraw(kept)
             reason += "; the plan on the last one is withdrawn, for there is a newer scan"
         self._status.report(status.ERROR, reason, {"state": "refused", **(self._told(kept) if kept else {})})
         self._diagnostics.failed(reason)
@@ -137,10 +135,13 @@ class Planner(Node):
         received = self._fields.current
         if received is None or received.stamp_ns != stamp_ns or not self._publisher.stands:
             return
-        self._publisher.withdraw(received)
-        self._view.clear(received)
+        self._withdraw(received)
         reason = "a nearer pose of the scan has come; the plan placed by the last one is withdrawn"
         self._status.report(status.WARN, reason, {"state": "ready", **self._told(received)})
+
+    def _withdraw(self, received: ReceivedField) -> None:
+        self._publisher.withdraw(received)
+        self._view.clear(received)
 
     def _on_bad_view(self, reason: str) -> None:
         self.get_logger().error(f"the plan cannot be shown: {reason}")

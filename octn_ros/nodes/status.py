@@ -37,10 +37,7 @@ class StatusTopic:
         """
         if not self._node.context.ok():
             return  # the graph is gone, and the log with it
-        pairs = key_values(values or {})
-        status = DiagnosticStatus(level=level, name=self._name, message=message, hardware_id="octn_ros", values=pairs)
-        report = DiagnosticArray(status=[status])
-        report.header.stamp = self._node.get_clock().now().to_msg()
+        report = to_report(self._node, self._name, level, message, values or {})
         if log:
             logger = self._node.get_logger()
             # One call site per severity: rclpy refuses a call site that changes its severity.
@@ -53,9 +50,17 @@ class StatusTopic:
         self._publisher.publish(report)
 
 
-def key_values(values: dict[str, Any]) -> list[KeyValue]:
-    """Return named figures as a status carries them: numbers as plain text, lists and dicts as JSON."""
-    return [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
+def to_report(node: Node, name: str, level: bytes, message: str, values: dict[str, Any]) -> DiagnosticArray:
+    """Return a message with one status of this name, stamped with the node's time now.
+
+    Raises:
+        TypeError: there is something in `values` that JSON cannot hold.
+    """
+    pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
+    status = DiagnosticStatus(level=level, name=name, message=message, hardware_id="octn_ros", values=pairs)
+    report = DiagnosticArray(status=[status])
+    report.header.stamp = node.get_clock().now().to_msg()
+    return report
 
 
 def read(message: DiagnosticArray) -> tuple[bytes, str, dict[str, str]]:

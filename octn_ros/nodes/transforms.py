@@ -16,7 +16,7 @@ from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.parameters import ConfigParameters
 from octn_ros.planning import Calibration
 from octn_ros.settings import check_settings, setting
-from octn_ros.volume.assembly import IMAGE2OCT_ROTATION
+from octn_ros.volume.bscan_places import IMAGE2OCT_ROTATION
 
 BSCAN_FRAME = "oct_bscan_frame"
 # Absolute, as tf2 has them: one tree for all robots and namespaces; remap them where each robot has its own.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import ConfigurationError
-from octn_ros.volume.assembly import IMAGE2OCT_ROTATION
+from octn_ros.volume.bscan_places import IMAGE2OCT_ROTATION
 from octn_ros.volume.volume import Volume
 
 

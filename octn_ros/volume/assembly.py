@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
-from octn_ros.volume.bscan_places import IMAGE2OCT_ROTATION, BScanPlaces
+from octn_ros.volume.bscan_places import BScanPlaces
 from octn_ros.volume.geometry import VolumeGeometry
 from octn_ros.volume.volume import IntensityScale, Volume
-
-__all__ = ["IMAGE2OCT_ROTATION", "CScanAssembler"]
 
 _DTYPES = (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32))
 

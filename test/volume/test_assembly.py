@@ -6,7 +6,8 @@ import pytest
 
 from octn_ros.errors import VolumeError
 from octn_ros.simulation import PhantomConfig, Scanner, make_phantom
-from octn_ros.volume.assembly import IMAGE2OCT_ROTATION, CScanAssembler
+from octn_ros.volume.assembly import CScanAssembler
+from octn_ros.volume.bscan_places import IMAGE2OCT_ROTATION
 from octn_ros.volume.subsampling import subsample_bscans
 from octn_ros.volume.volume import Volume
 
