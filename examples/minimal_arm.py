@@ -11,6 +11,7 @@ import octn_ros.nodes  # noqa: F401 - makes rclpy and the message packages impor
 
 # isort: split
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
@@ -19,7 +20,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.nodes import status
-from octn_ros.nodes.conversions import cloud_to_tool_path, matrix_to_pose_stamped, pose_to_matrix
+from octn_ros.nodes.conversions import cloud_to_tool_path, matrix_to_pose_stamped, plan_hash, pose_to_matrix
 from octn_ros.nodes.qos import LATCHED
 from octn_ros.planning import from_translation_quaternion, invert, load_calibration
 from octn_ros.resources import config_path
@@ -38,6 +39,7 @@ class MinimalArm(Node):
         self._ee2base[:3, 3] = 0.4, 0.0, 0.3
         # Two plans of one scan have equal stamps, so all of a plan is taken from one message.
         self._tool_path, self._scan_pose = PointCloud2(), PoseStamped()
+        self._plan_hash = self._stands = ""  # of that tool path, and of the plan that the planner stands for
         self._laser_enabled = False
         self.reached: list[np.ndarray] = []  # where the laser's focus has been, in the base
         self._ee_pose = self.create_publisher(PoseStamped, "ee_pose", 50)
@@ -47,6 +49,7 @@ class MinimalArm(Node):
         self.create_timer(POSE_PERIOD_S, self._tell_pose, callback_group=aside)
         self.create_subscription(PoseStamped, "scan_ee_pose", self._on_scan_pose, LATCHED, callback_group=aside)
         self.create_subscription(PointCloud2, "tool_path", self._on_tool_path, LATCHED, callback_group=aside)
+        self.create_subscription(DiagnosticArray, "plan_status", self._on_plan_status, LATCHED, callback_group=aside)
         self.create_service(SetBool, "enable_laser", self._enable_laser, callback_group=aside)
         self.create_service(Trigger, "execute", self._execute)
         self._say("idle", "ready: no plan, the laser is disabled")
@@ -66,15 +69,27 @@ class MinimalArm(Node):
         self._look_at_plan()
 
     def _on_tool_path(self, message: PointCloud2) -> None:
-        self._tool_path = message
+        self._tool_path, self._plan_hash = message, plan_hash(message)
         self._look_at_plan()
+
+    def _on_plan_status(self, message: DiagnosticArray) -> None:
+        stood, self._stands = self._stands, status.read(message)[2].get("plan_hash", "")
+        if self._stands != stood:
+            self._look_at_plan()
 
     def _look_at_plan(self) -> None:
         """Nothing moves yet; an empty tool path withdraws the plan, and stops an arm that follows it."""
-        if self._tool_path.width and self._tool_path.header.stamp == self._scan_pose.header.stamp:
-            self._say("staged", f"plan of {self._tool_path.width} waypoints staged")
-        else:
-            self._say("idle", "no plan of the present scan")
+        why_not = self._why_not(self._tool_path)
+        self._say(*(("idle", why_not) if why_not else ("staged", f"plan of {self._tool_path.width} waypoints staged")))
+
+    def _why_not(self, path: PointCloud2) -> str:
+        if not path.width:
+            return "there is no plan"
+        if path.header.stamp != self._scan_pose.header.stamp:
+            return "the plan is of another scan than the newest; plan again"
+        if path is not self._tool_path or self._plan_hash != self._stands:
+            return "the planner does not stand for the plan (plan_hash in plan_status); plan again"
+        return ""
 
     def _enable_laser(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._laser_enabled = bool(request.data)
@@ -84,20 +99,17 @@ class MinimalArm(Node):
 
     def _execute(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         path, scan_pose = self._tool_path, self._scan_pose
-        if not path.width:
-            response.message = "there is no plan"
-        elif path.header.stamp != scan_pose.header.stamp:
-            response.message = "the plan is of another scan than the newest; plan again"
-        elif not self._laser_enabled:
+        response.message = self._why_not(path)
+        if not response.message and not self._laser_enabled:
             response.message = "the laser is disabled; call enable_laser"
-        else:
+        if not response.message:
             response.success, response.message = self._follow(path, pose_to_matrix(scan_pose.pose))
         return response
 
     def _follow(self, path: PointCloud2, scan_ee2base: np.ndarray) -> tuple[bool, str]:
         self._say("executing", f"executing {path.width} waypoints")
         for done, row in enumerate(cloud_to_tool_path(path)):
-            if self._tool_path is not path or not self._laser_enabled:
+            if self._why_not(path) or not self._laser_enabled:
                 words = f"aborted after {done} waypoints: plan or laser was taken back"
                 self._say("aborted", words)
                 return False, words

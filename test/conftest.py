@@ -84,6 +84,66 @@ def client(ros: None) -> Iterator[Any]:
         yield graph
 
 
+class PlannerStandIn:
+    """Publishes plans, what it says of them and signs of life from another node, as the planner does."""
+
+    def __init__(self, node: Any) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from geometry_msgs.msg import PoseArray
+        from sensor_msgs.msg import PointCloud2
+
+        from octn_ros.nodes import diagnostics, qos
+
+        self.node, self.lives = node, True
+        self.waypoints = node.create_publisher(PoseArray, "waypoints", qos.LATCHED)
+        self.tool_path = node.create_publisher(PointCloud2, "tool_path", qos.LATCHED)
+        self.status = node.create_publisher(DiagnosticArray, "plan_status", qos.LATCHED)
+        self._life = node.create_publisher(DiagnosticArray, diagnostics.TOPIC, qos.STREAM)
+        self._timer = node.create_timer(0.05, self._live)
+
+    def plan(self, stamp_ns: int, poses: Any, *, frame: str = "tool0", speed_m_s: float = 0.01, **said: str) -> None:
+        """Publish a plan whose laser is on at each waypoint, and a status that differs by what is `said`."""
+        import numpy as np
+
+        from octn_ros.nodes import conversions
+
+        zeros, ones = np.zeros(len(poses)), np.ones(len(poses))
+        rows = conversions.tool_path(poses, zeros, ones, np.full(len(poses), speed_m_s), zeros, ones)
+        tool_path = conversions.to_cloud(rows, stamp_ns, frame)
+        self.tool_path.publish(tool_path)
+        self.waypoints.publish(conversions.to_pose_array(poses, stamp_ns, frame))
+        named = conversions.plan_hash(tool_path) if len(poses) else ""
+        self.say(**{"scan": str(stamp_ns), "plan_hash": named, **said})
+
+    def say(self, scan: str, plan_hash: str, **said: str) -> None:
+        """Publish a status; what is not said is as of a plan that stands."""
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+        values = {"state": "planned", "stamp_ns": scan, "field_hash": "ab12" * 4, "plan_hash": plan_hash, **said}
+        values["node"] = self.node.get_fully_qualified_name()
+        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+        self.status.publish(DiagnosticArray(status=[DiagnosticStatus(name="planner: plan_status", values=pairs)]))
+
+    def leave(self) -> None:
+        """Leave the graph."""
+        self.node.destroy_timer(self._timer)
+        for publisher in (self.waypoints, self.tool_path, self.status, self._life):
+            self.node.destroy_publisher(publisher)
+
+    def _live(self) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+        if self.lives:
+            name = f"{self.node.get_fully_qualified_name()}: state"
+            self._life.publish(DiagnosticArray(status=[DiagnosticStatus(name=name)]))
+
+
+@pytest.fixture
+def planner_stand_in(client: Any) -> Callable[[], PlannerStandIn]:
+    """Make a planner's stand-in of the client's node."""
+    return lambda: PlannerStandIn(client.node)
+
+
 @pytest.fixture
 def spin(ros: None) -> Iterator[Callable[..., Any]]:
     """Make nodes with parameters, and spin them until the test ends."""

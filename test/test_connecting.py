@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import re
 import signal
 import subprocess
 import sys
@@ -93,6 +94,21 @@ def test_a_scanner_and_an_arm_of_sixty_lines_are_enough(spin: Callable[..., Any]
     stopped = client.call(Trigger, "execute", Trigger.Request(), WAIT_S)
     assert (stopped.success, len(moving.reached)) == (False, 3)
     assert stopped.message == "aborted after 3 waypoints: plan or laser was taken back"
+
+
+def test_the_page_states_the_bytes_of_a_tool_path() -> None:
+    page = (EXAMPLES.parent / "docs" / "connecting.md").read_text(encoding="utf-8")
+    assert f"`point_step` {conversions.TOOL_PATH.itemsize}" in page
+    rows = re.findall(
+        r"^\| (\d+)(?: to (\d+))?, (?:(?:seven|three) )?(float32|uint32|uint8) \|(.*)", page, re.MULTILINE
+    )
+    columns = {}
+    for first, last, kind, words in rows:
+        names = [name for name in re.findall(r"`(\w+)`", words) if name in conversions.TOOL_PATH.names]
+        size = np.dtype(kind).itemsize
+        assert int(last or first) + 1 - int(first) == size * len(names)
+        columns |= {name: (int(first) + size * index, kind) for index, name in enumerate(names)}
+    assert columns == {name: (at, str(kind)) for name, (kind, at) in conversions.TOOL_PATH.fields.items()}
 
 
 def test_the_scanner_waits_for_a_trainer(spin: Callable[..., Any], client: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from octn_ros.errors import OctnError
 from octn_ros.nodes import status
@@ -20,10 +20,16 @@ class Answers:
     Args:
         diagnostics: of the node.
         topic: its status topic.
+        standing: tells what holds in spite of a refusal, as named values.
     """
 
-    def __init__(self, diagnostics: NodeDiagnostics, topic: status.StatusTopic) -> None:
-        self._diagnostics, self._topic = diagnostics, topic
+    def __init__(
+        self,
+        diagnostics: NodeDiagnostics,
+        topic: status.StatusTopic,
+        standing: Callable[[], dict[str, Any]] = dict,
+    ) -> None:
+        self._diagnostics, self._topic, self._standing = diagnostics, topic, standing
 
     def to(self, request: str, work: Callable[[], Answer]) -> tuple[Answer | None, str]:
         """Return what the work returns and no reason, or None and the reason why there is no answer.
@@ -40,5 +46,5 @@ class Answers:
             except Exception as error:  # a fault of ours, or memory that ran out: the node and its callers live on
                 reason, state = f"{request} failed: {type(error).__name__}: {error}", "failed"
             counted.refused(reason)
-            self._topic.report(status.ERROR, reason, {"state": state})
+            self._topic.report(status.ERROR, reason, {"state": state, **self._standing()})
             return None, reason

@@ -10,9 +10,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from octn_ros.nodes import qos, status
+from octn_ros.simulation import SIGN_OF_LIFE_S
 
 TOPIC = "/diagnostics"  # absolute: aggregators listen there, whatever the node's namespace
 
@@ -63,11 +65,11 @@ class NodeDiagnostics:
         node: the node that is described.
         describe: asked at each report for level, message and values, as `StatusTopic.report` takes them; it must not
             wait for anything. What it raises is reported in place of its answer.
-        period_s: time of the node's clock between two reports.
+        period_s: time between two reports, by a steady clock: they are signs of life, and simulated time may stand.
     """
 
     def __init__(
-        self, node: Node, describe: Callable[[], tuple[bytes, str, dict[str, Any]]], *, period_s: float = 1.0
+        self, node: Node, describe: Callable[[], tuple[bytes, str, dict[str, Any]]], *, period_s: float = SIGN_OF_LIFE_S
     ) -> None:
         self._node, self._describe = node, describe
         self._name = f"{node.get_fully_qualified_name()}: state"
@@ -75,7 +77,8 @@ class NodeDiagnostics:
         self._services: dict[str, _Tally] = {}
         self._errors, self._last_error, self._last_error_ns = 0, "", 0
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.STREAM)
-        node.create_timer(period_s, self._report, callback_group=MutuallyExclusiveCallbackGroup())
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(period_s, self._report, callback_group=MutuallyExclusiveCallbackGroup(), clock=steady)
 
     @contextmanager
     def request(self, service: str) -> Iterator[ServiceRequest]:

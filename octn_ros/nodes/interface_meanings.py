@@ -5,7 +5,7 @@ from __future__ import annotations
 MEANINGS = {
     "/clicked_point": "RViz's *Publish Point*; answered on `clicked_surface` and `query_status`.",
     "/diagnostics": "Once a second: the node's state, age of scan and field, requests, refusals and times of each "
-    "service, the last error.",
+    "service, the last error. The planner's are signs of life for the arm.",
     "/tf": "The end effector in the robot's base, from `ee_pose` and with its stamp; parameter `transforms.moving`.",
     "/tf_static": "The OCT frame and the laser frame in the end effector's, from the calibration; `oct_bscan_frame`, "
     "the image frame of B-scan 0, in the OCT frame.",
@@ -22,8 +22,8 @@ MEANINGS = {
     "waypoints in the base.",
     "enable_laser": "The interlock: without it nothing fires; false turns the laser off at once and aborts.",
     "enface": "The C-scan seen along the beam, as a map in the OCT frame, 101 grey levels.",
-    "execute": "Fires the staged plan: of the present scan, young enough, laser enabled, or it is refused with the "
-    "reason.",
+    "execute": "Fires the staged plan: of the present scan, young enough, the one that one living planner stands for, "
+    "laser enabled; or it is refused with the reason.",
     "execution_status": "State of the arm (`idle`, `staged`, `executing`, `done`, `aborted`, ...), shots, depth "
     "removed, error between planned and actual spot.",
     "field": "The field itself, float16, format `octn-field/safetensors`, stamped with the scan: first the one through "
@@ -39,8 +39,8 @@ MEANINGS = {
     "plan_raster": "Start and goal are opposite corners of a rectangle, the start's yaw its angle, in any frame of the "
     "calibration; tolerance the line spacing in metres, 0 = the parameter. Answered with the path in the end-effector "
     "frame, empty when refused.",
-    "plan_status": "Field (kind, stamp, hash), method, tau, hit rate, smoothness, residuals, error budget, times; or "
-    "the reason in words.",
+    "plan_status": "The plan that stands, by hash, and its field (kind, stamp, hash): without that nothing fires it "
+    "(connecting.md); method, tau, hit rate, smoothness, residuals, error budget, times; or the reason in words.",
     "query_band": "Publishes `band` now, and says how many points it has.",
     "query_intensity": "The answer: x, y, z, intensity, gx, gy, gz, in the frame, stamp and order of the question; NaN "
     "outside the scan.",

@@ -29,7 +29,8 @@ class PlanPublisher:
         self._waypoints_base = node.create_publisher(PoseArray, "waypoints_base", qos.LATCHED)
         self._waypoints_oct = node.create_publisher(PoseArray, "waypoints_oct", qos.LATCHED)
         self._tool_path = node.create_publisher(PointCloud2, "tool_path", qos.LATCHED)
-        self._stands = self._told = False
+        self._plan_hash = ""
+        self._told = False
 
     @property
     def told(self) -> bool:
@@ -39,7 +40,12 @@ class PlanPublisher:
     @property
     def stands(self) -> bool:
         """Whether a plan is published and not withdrawn."""
-        return self._stands
+        return bool(self._plan_hash)
+
+    @property
+    def plan_hash(self) -> str:
+        """Identity of the plan that is published and not withdrawn, empty without one."""
+        return self._plan_hash
 
     def publish(self, received: ReceivedField, plan: Plan, ee2base: NDArray[np.float64] | None) -> None:
         """Publish a plan in place of the last one.
@@ -53,14 +59,13 @@ class PlanPublisher:
             plan.waypoints_ee, plan.segment, plan.laser_on, plan.speed_m_s, plan.residual, plan.confidence
         )
         base = np.empty((0, 4, 4)) if ee2base is None else ee2base @ plan.waypoints_ee
-        self._send(received, rows, plan.waypoints_ee, plan.waypoints_oct, base)
-        self._stands = True
+        self._plan_hash = self._send(received, rows, plan.waypoints_ee, plan.waypoints_oct, base)
 
     def withdraw(self, received: ReceivedField) -> None:
         """Publish that there is no plan, stamped with the scan of the new field."""
         nothing = np.empty((0, 4, 4))
         self._send(received, np.empty(0, conversions.TOOL_PATH), nothing, nothing, nothing)
-        self._stands = False
+        self._plan_hash = ""
 
     def _send(
         self,
@@ -69,12 +74,14 @@ class PlanPublisher:
         ee: NDArray[np.float64],
         oct_: NDArray[np.float64],
         base: NDArray[np.float64],
-    ) -> None:
+    ) -> str:
         stamp_ns, calibration = received.stamp_ns, self._calibration
-        self._tool_path.publish(conversions.to_cloud(rows, stamp_ns, calibration.ee_frame))
+        tool_path = conversions.to_cloud(rows, stamp_ns, calibration.ee_frame)
+        self._tool_path.publish(tool_path)
         self._waypoints_oct.publish(conversions.encode_pose_array(oct_, stamp_ns, received.frame))
         # Without a pose there is nothing to say, except that the old ones are over, maybe those of a planner before.
-        if len(base) or self._stands or not self._told:
+        if len(base) or self.stands or not self._told:
             self._waypoints_base.publish(conversions.encode_pose_array(base, stamp_ns, calibration.base_frame))
         self._waypoints.publish(conversions.encode_pose_array(ee, stamp_ns, calibration.ee_frame))
         self._told = True
+        return conversions.plan_hash(tool_path)

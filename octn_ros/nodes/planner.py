@@ -88,7 +88,7 @@ class Planner(Node):
 
         self._diagnostics = NodeDiagnostics(self, self._describe)
         self._status = status.StatusTopic(self, "plan_status", qos.LATCHED)
-        self._answers = Answers(self._diagnostics, self._status)
+        self._answers = Answers(self._diagnostics, self._status, self._standing)
         self._publisher = PlanPublisher(self, self._calibration)
         self._view = PlanView(self, self._calibration, self._on_bad_view)
         self._transforms = Transforms(self, self._calibration)
@@ -128,7 +128,7 @@ class Planner(Node):
         if kept is not None and outdated and self._publisher.stands:
             self._withdraw(kept)
             reason += "; the plan on the last one is withdrawn, for there is a newer scan"
-        self._status.report(status.ERROR, reason, {"state": "refused", **(self._told(kept) if kept else {})})
+        self._status.report(status.ERROR, reason, {"state": "refused", **self._standing()})
         self._diagnostics.failed(reason)
 
     def _on_other_pose(self, stamp_ns: int) -> None:
@@ -148,7 +148,17 @@ class Planner(Node):
         self._diagnostics.failed(f"the plan cannot be shown: {reason}")
 
     def _told(self, received: ReceivedField) -> dict[str, Any]:
-        return {**received.identity(), "field_age_s": self._diagnostics.age_s(received.stamp_ns)}
+        """Return what each report says, whatever it is about: the field, and which plan stands."""
+        return {
+            **received.identity(),
+            "field_age_s": self._diagnostics.age_s(received.stamp_ns),
+            "plan_hash": self._publisher.plan_hash,
+            "node": self.get_fully_qualified_name(),
+        }
+
+    def _standing(self) -> dict[str, Any]:
+        received = self._fields.current
+        return self._told(received) if received else {}
 
     def _describe(self) -> tuple[bytes, str, dict[str, Any]]:
         received = self._fields.current

@@ -28,7 +28,6 @@ from octn_ros.simulation import (
     LaserConfig,
     LaserPath,
     Mounting,
-    Order,
     PhantomConfig,
     PhantomTissue,
     Station,
@@ -155,33 +154,45 @@ class Simulator(Node):
 
     # --- plans
 
-    def _on_plan(self, path: LaserPath) -> None:
+    def _on_plan(self, path: LaserPath) -> bool:
+        """Stage a plan that its planner stands for; return whether that is done, be it that the plan is refused."""
+        interlock = self._interlock.config()
         try:
             with self._lock:
                 running = self._station.running
                 if running is not None:
-                    if running.content_hash == path.content_hash:
-                        return  # its other half has come a second time
+                    if running.hash == path.hash:
+                        return True  # its other half has come a second time
                     self._stop("the planner has replaced the plan")
+                unvouched = self._plans.voucher().why_not(path, interlock.planner_silence_s)
+                if unvouched is not None:
+                    news = self._station.no_plan != unvouched
+                    self._station.withdraw(unvouched)
+                    if news:
+                        self._reports.say(status.WARN, f"plan of {len(path)} waypoints waits: {unvouched}", log=False)
+                    return False
                 self._station.stage(path)
         except OctnError as error:
             self._on_bad_plan(str(error))
-            return
+            return True
         self._reports.say(status.OK, f"plan of {len(path)} waypoints staged")
+        return True
 
     def _on_bad_plan(self, reason: str) -> None:
+        with self._lock:
+            self._station.withdraw(f"the last one was refused: {reason}")
         self._diagnostics.failed(f"plan refused: {reason}")
         self._reports.say(status.ERROR, f"plan refused: {reason}")
 
-    def _on_withdrawal(self) -> None:
+    def _on_withdrawal(self, reason: str) -> None:
         with self._lock:
             state = self._station.arm.state
             if state == "executing":
-                self._stop("the planner has withdrawn the plan")
+                self._stop(reason)
                 return
-            self._station.withdraw()
+            self._station.withdraw(reason)
         if state == "staged":
-            self._reports.say(status.WARN, "the planner has withdrawn the plan")
+            self._reports.say(status.WARN, f"the staged plan is dropped: {reason}")
 
     # --- execution
 
@@ -203,12 +214,9 @@ class Simulator(Node):
                 if self._looking or self._player.unsent:
                     raise OctnError("a scan is running, which withdraws the plan before it")
                 station.move_tissue(self._motion.config(), self._now_ns())
-                origin = self._plans.origin(station.staged) if station.staged is not None else ("", "")
-                config = self._config.config()
-                order = Order(config.operator, *origin)
-                alive = self._plans.planner_alive
+                config, voucher = self._config.config(), self._plans.voucher()
                 laser, interlock = self._laser.config(), self._interlock.config()
-                station.execute(order, laser, interlock, alive, self._now_ns(), config.time_factor)
+                station.execute(config.operator, laser, interlock, voucher, self._now_ns(), config.time_factor)
             except OctnError as error:
                 response.message = f"execute refused: {error}"
                 asked.refused(response.message)
@@ -254,7 +262,7 @@ class Simulator(Node):
 
     def _step(self) -> None:
         config, interlock, motion = self._config.config(), self._interlock.config(), self._motion.config()
-        alive = self._plans.planner_alive
+        voucher = self._plans.voucher()
         with self._lock:
             station, now_ns = self._station, self._now_ns()
             if station.arm.state not in ("executing", "returning"):
@@ -266,7 +274,7 @@ class Simulator(Node):
                 passed_s = min(passed_s, self._longest_step_s)
             self._stepped_ns = now_ns
             try:
-                reason = station.step(passed_s, interlock, alive, now_ns, config.time_factor)
+                reason = station.step(passed_s, interlock, voucher, now_ns, config.time_factor)
             except Exception as error:  # a fault of ours must not leave the laser on
                 reason = station.stop(f"{type(error).__name__}: {error}", now_ns, config.time_factor)
             self._reports.show_laser()
@@ -287,11 +295,6 @@ class Simulator(Node):
     def _show_motion(self) -> None:
         with self._lock:
             self._station.move_tissue(self._motion.config(), self._now_ns())
-            dropped = self._plans.lose() and self._station.staged is not None
-            if dropped:  # another planner may have another field
-                self._station.withdraw("the planner of the last one is lost")
-        if dropped:
-            self._reports.say(status.WARN, "the planner is lost; its plan is dropped")
         self._reports.show_motion()
 
     def _describe(self) -> tuple[bytes, str, dict[str, Any]]:

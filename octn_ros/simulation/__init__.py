@@ -7,7 +7,7 @@ from octn_ros.simulation.audit import AuditRecord, default_audit_path
 from octn_ros.simulation.execution import Execution, ExecutionOrder, Setting
 from octn_ros.simulation.inaccuracy import Inaccuracy, InaccuracyConfig
 from octn_ros.simulation.interface import Interface
-from octn_ros.simulation.interlock import Conditions, InterlockConfig, why_off
+from octn_ros.simulation.interlock import SIGN_OF_LIFE_S, Conditions, InterlockConfig, why_off
 from octn_ros.simulation.laser import LaserConfig
 from octn_ros.simulation.laser_path import LaserPath
 from octn_ros.simulation.named import ADVERSE, NAMED_PHANTOMS, SMOOTH, named_phantom
@@ -16,14 +16,16 @@ from octn_ros.simulation.phantom_config import PhantomConfig
 from octn_ros.simulation.region_snr import RegionSnr, region_snr
 from octn_ros.simulation.scanner import BScan, Scanner
 from octn_ros.simulation.shots import Shot, ShotSchedule
-from octn_ros.simulation.station import Mounting, Order, Station
+from octn_ros.simulation.station import Mounting, Station
 from octn_ros.simulation.surface import TissueSurface
 from octn_ros.simulation.tissue_motion import TissueMotion, TissueMotionConfig
 from octn_ros.simulation.trajectory import MotionLimits, Trajectory
+from octn_ros.simulation.voucher import Voucher
 
 __all__ = [
     "ADVERSE",
     "NAMED_PHANTOMS",
+    "SIGN_OF_LIFE_S",
     "SMOOTH",
     "Arm",
     "ArmConfig",
@@ -43,7 +45,6 @@ __all__ = [
     "LaserPath",
     "MotionLimits",
     "Mounting",
-    "Order",
     "Phantom",
     "PhantomConfig",
     "PhantomTissue",
@@ -57,6 +58,7 @@ __all__ = [
     "TissueMotionConfig",
     "TissueSurface",
     "Trajectory",
+    "Voucher",
     "default_audit_path",
     "make_phantom",
     "named_phantom",

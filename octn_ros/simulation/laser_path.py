@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +22,7 @@ class LaserPath:
         speed_m_s: speed of the focus on the way to each waypoint [N], metres per second.
         stamp_ns: time of the scan it was planned on, nanoseconds.
         frame: name of the frame of `waypoints_ee`.
+        hash: identity of the plan, as its planner states it too; without one nobody can stand for it.
 
     Raises:
         ExecutionError: the lengths differ, a pose is not rigid within 1e-6, or a speed is not positive. A path
@@ -35,6 +35,7 @@ class LaserPath:
     speed_m_s: NDArray[np.float64]
     stamp_ns: int
     frame: str
+    hash: str = ""
 
     def __post_init__(self) -> None:
         count = len(self)
@@ -49,14 +50,6 @@ class LaserPath:
         if not forward.all():
             first = int(np.argmin(forward))
             raise ExecutionError(f"expected speeds above 0 m/s, got {self.speed_m_s[first]:g} at waypoint {first}")
-
-    @property
-    def content_hash(self) -> str:
-        """Identity of the path: everything about it; 16 hex digits of SHA-256."""
-        digest = hashlib.sha256(f"{self.stamp_ns} {self.frame}".encode())
-        for array in (self.waypoints_ee, self.segment, self.laser_on, self.speed_m_s):
-            digest.update(np.ascontiguousarray(array).data)
-        return digest.hexdigest()[:16]
 
     def __len__(self) -> int:
         """Return the number of waypoints."""

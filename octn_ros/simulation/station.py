@@ -20,6 +20,7 @@ from octn_ros.simulation.laser_path import LaserPath
 from octn_ros.simulation.pose import inverse
 from octn_ros.simulation.scanner import Scanner
 from octn_ros.simulation.tissue_motion import TissueMotion, TissueMotionConfig
+from octn_ros.simulation.voucher import Voucher
 from octn_ros.volume.volume import Volume
 
 
@@ -38,15 +39,6 @@ class Mounting:
     laser2ee: NDArray[np.float64]
     home2base: NDArray[np.float64]
     ee_frame: str = "tool0"
-
-
-@dataclass(frozen=True)
-class Order:
-    """What is told with the request to execute: see `ExecutionOrder`."""
-
-    operator: str = ""
-    planner: str = ""
-    field_hash: str = ""
 
 
 class Station:
@@ -142,8 +134,7 @@ class Station:
     def begin_scan(self, stamp_ns: int, scan_hash: str, place_m: NDArray[np.float64]) -> None:
         """Take note of a scan; a plan of the one before is withdrawn."""
         if self.arm.state == "staged":
-            self.no_plan = "a new scan has withdrawn the plan before it"
-        self.arm.withdraw()
+            self.withdraw("a new scan has withdrawn the plan before it")
         self.scan_stamp_ns, self._scan_hash, self._scan_place_m = stamp_ns, scan_hash, place_m
 
     def forget_scan(self) -> None:
@@ -158,11 +149,7 @@ class Station:
         Raises:
             ExecutionError: the arm refuses it.
         """
-        try:
-            self.arm.stage(path, self.scan_stamp_ns, self._mounting.home2base)
-        except ExecutionError as error:
-            self.no_plan = f"the last one was refused: {error}"
-            raise
+        self.arm.stage(path, self.scan_stamp_ns, self._mounting.home2base)
 
     @property
     def staged(self) -> LaserPath | None:
@@ -174,9 +161,9 @@ class Station:
         """The plan that is being executed, None if there is none."""
         return self.arm.path if self.arm.state == "executing" else None
 
-    def withdraw(self, why: str = "the planner has withdrawn the last one") -> None:
-        """Drop the staged plan, if there is one, because whoever made it has taken it back or is gone."""
-        if self.arm.state == "staged":
+    def withdraw(self, why: str) -> None:
+        """Drop the staged plan, if there is one, and remember why there is none; a running one goes on."""
+        if self.arm.state != "executing":
             self.no_plan = why
         self.arm.withdraw()
 
@@ -184,20 +171,20 @@ class Station:
 
     def execute(
         self,
-        order: Order,
+        operator: str,
         laser: LaserConfig,
         interlock: InterlockConfig,
-        planner_alive: bool,
+        voucher: Voucher,
         now_ns: int,
         factor: float,
     ) -> None:
         """Begin to run the staged plan.
 
         Args:
-            order: what is told with the request.
+            operator: who answers for it.
             laser: what is fired with.
             interlock: its limits.
-            planner_alive: whether whoever published the plan is still there.
+            voucher: what the planner stands for now.
             now_ns: present time.
             factor: seconds of the arm's time per second of the clock.
 
@@ -208,30 +195,28 @@ class Station:
         if path is None:
             why = "" if self.arm.state == "executing" else f"; {self.no_plan}"
             raise ExecutionError(f"expected a staged plan, got none (the arm is {self.arm.state}); stage a plan{why}")
-        reason = self._why_off(interlock, planner_alive, now_ns)
+        reason = self._why_off(interlock, voucher, now_ns)
         if reason is not None:
             raise ExecutionError(reason)
         home2base = self._mounting.home2base
-        full = ExecutionOrder(
-            operator=order.operator,
-            planner=order.planner,
+        order = ExecutionOrder(
+            operator=operator,
+            planner=voucher.planner,
             scan_stamp_ns=path.stamp_ns,
             scan_hash=self._scan_hash,
-            field_hash=order.field_hash,
-            plan_hash=path.content_hash,
+            field_hash=voucher.field_hash,
+            plan_hash=path.hash,
             waypoints=len(path),
         )
         setting = Setting(
             inverse(home2base @ self._mounting.oct2ee), inverse(home2base @ self._true_oct2ee), self._scan_place_m
         )
         limits = _limits(interlock, factor)
-        self.execution = Execution(full, laser, setting, self.tissue, self._audit, now_ns, limits)
+        self.execution = Execution(order, laser, setting, self.tissue, self._audit, now_ns, limits)
         self.arm.execute(now_ns, laser.dwell_s)
         self._looked_ns = now_ns
 
-    def step(
-        self, dt_s: float, interlock: InterlockConfig, planner_alive: bool, now_ns: int, factor: float
-    ) -> str | None:
+    def step(self, dt_s: float, interlock: InterlockConfig, voucher: Voucher, now_ns: int, factor: float) -> str | None:
         """Let `dt_s` seconds of the clock pass, unless the interlock says no.
 
         Limits and a factor other than those of the step before are written down first.
@@ -239,7 +224,7 @@ class Station:
         Args:
             dt_s: time since the last step.
             interlock: its limits.
-            planner_alive: whether whoever published the plan is still there.
+            voucher: what the planner stands for now.
             now_ns: present time.
             factor: seconds of the arm's time per second of the clock.
 
@@ -252,7 +237,7 @@ class Station:
         try:
             if self.execution is not None:
                 self.execution.note(_limits(interlock, factor), now_ns)
-            reason = self._why_off(interlock, planner_alive, now_ns)
+            reason = self._why_off(interlock, voucher, now_ns)
             if reason is not None:
                 return self.stop(reason, now_ns, factor)
             self._looked_ns = now_ns
@@ -294,14 +279,15 @@ class Station:
         stamps = [now_ns - round((elapsed_s - shot.start_s) / factor * 1e9) for shot in shots]
         self.execution.fire(shots, stamps, self.tissue_place_m(now_ns))
 
-    def _why_off(self, interlock: InterlockConfig, planner_alive: bool, now_ns: int) -> str | None:
+    def _why_off(self, interlock: InterlockConfig, voucher: Voucher, now_ns: int) -> str | None:
         path = self.arm.path
         assert path is not None
         moved_m = float(np.linalg.norm(self.measured_motion_m(now_ns)))
         age_s = (now_ns - path.stamp_ns) * 1e-9
         # With the shutter closed nothing is done to the tissue meanwhile, and the arm just goes on later.
         stalled_s = (now_ns - self._looked_ns) * 1e-9 if self.arm.laser_on else 0.0
-        return why_off(interlock, Conditions(self.enabled, age_s, planner_alive, moved_m, stalled_s))
+        unvouched = voucher.why_not(path, interlock.planner_silence_s)
+        return why_off(interlock, Conditions(self.enabled, age_s, unvouched, moved_m, stalled_s))
 
 
 def _limits(interlock: InterlockConfig, factor: float) -> dict[str, float]:

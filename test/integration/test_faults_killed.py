@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +31,8 @@ SIMULATOR = (
     f"phantom.shape:={list(SHAPE)}", "phantom.surface:=tilted", "bscan_period_s:=0.001", "time_factor:=1.0",
 )  # fmt: skip
 SLOW = "speed_m_s:=0.0001"  # of the laser: a raster takes half a minute
-LOST_S = 2.0 if embedded.install() else 15.0  # DDS takes ten seconds to miss a node that was killed
+SILENCE_S = 5.0
+LOST_S = 2.0 if embedded.install() else SILENCE_S + 2.0  # DDS takes ten seconds to miss a node that was killed
 OCT = "oct_optical_frame"
 
 
@@ -183,23 +185,84 @@ def test_planner_and_query_that_are_killed_get_the_latched_field_and_answer(grap
         node.end()
 
 
+class Surgeon:
+    """The simulator in a process beside the graph, a plan staged on its scan, and who fires it."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.client = graph, graph.client
+        self.execution = self.client.watch(DiagnosticArray, "execution_status", qos.REPORTS)
+        self.laser_on = self.client.watch(Bool, "laser_on")
+        graph.start("simulator")
+        self.execution.wait(START_S)
+        self.client.wait_for(lambda: self.call("scan").success, START_S, "scan")
+        graph.planned.wait(FIT_S, lambda message: values(message).get("field_kind") == "neural")
+        self.plan()
+
+    def call(self, service: str) -> Any:
+        return self.client.call(Trigger, service, Trigger.Request(), START_S)
+
+    def plan(self) -> None:
+        """Have a plan made, and wait until it is staged."""
+        told = len(self.execution.messages)
+        assert self.graph.ask("plan_raster").poses
+        self.execution.wait(ANSWER_S, lambda message: values(message)["state"] == "staged", after=told)
+
+    def execute(self) -> Any:
+        """Enable the laser and ask for the execution."""
+        assert self.client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S).success
+        return self.call("execute")
+
+    def fire(self) -> None:
+        """Execute, until the laser is on."""
+        lit = len(self.laser_on.messages)
+        answer = self.execute()
+        assert answer.success, answer.message
+        self.laser_on.wait(ANSWER_S, lambda message: message.data, after=lit)
+
+    def aborted(self) -> tuple[str, float]:
+        """Wait until the laser is off because of a fault; return why, and how long that took."""
+        began = time.monotonic()
+        end = self.execution.wait(ANSWER_S, lambda message: values(message)["state"] == "aborted")
+        self.client.wait_for(lambda: self.laser_on.messages[-1].data is False, ANSWER_S, "laser_on: false")
+        return status.read(end)[1], time.monotonic() - began
+
+
 @pytest.mark.slow
 def test_the_laser_is_off_when_the_planner_is_killed_in_an_execution(graph: Graph) -> None:
-    execution = graph.client.watch(DiagnosticArray, "execution_status")
-    laser_on = graph.client.watch(Bool, "laser_on")
-    graph.start("simulator")
-    execution.wait(START_S)
-    graph.client.wait_for(
-        lambda: graph.client.call(Trigger, "scan", Trigger.Request(), START_S).success, START_S, "scan"
-    )
-    graph.planned.wait(FIT_S, lambda message: values(message).get("field_kind") == "neural")
-    assert graph.ask("plan_raster").poses
-    execution.wait(ANSWER_S, lambda message: values(message)["state"] == "staged")
-    assert graph.client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S).success
-    assert graph.client.call(Trigger, "execute", Trigger.Request(), ANSWER_S).success
-    laser_on.wait(ANSWER_S, lambda message: message.data)
+    surgeon = Surgeon(graph)
+    surgeon.fire()
     graph.nodes["planner"].kill()
-    lost = time.monotonic()
-    execution.wait(ANSWER_S, lambda message: values(message)["state"] == "aborted")
-    assert time.monotonic() - lost < LOST_S
-    graph.client.wait_for(lambda: laser_on.messages[-1].data is False, ANSWER_S, "laser_on: false")
+    reason, seconds = surgeon.aborted()
+    print(f"killed planner: laser off after {seconds:.2f} s: {reason}")
+    assert seconds < LOST_S
+
+
+@pytest.mark.slow
+def test_the_laser_is_off_when_the_planner_hangs_in_an_execution(graph: Graph) -> None:
+    surgeon = Surgeon(graph)
+    surgeon.fire()
+    planner = graph.nodes["planner"].popen
+    planner.send_signal(signal.SIGSTOP)
+    reason, seconds = surgeon.aborted()
+    print(f"stopped planner: laser off after {seconds:.2f} s: {reason}")
+    assert "sign of life" in reason
+    assert SILENCE_S - 1.5 < seconds < SILENCE_S + 1.0, "counted from the last sign, a second before at most"
+    assert "sign of life" in surgeon.execute().message
+    planner.send_signal(signal.SIGCONT)
+    surgeon.plan()
+    surgeon.fire()
+
+
+@pytest.mark.slow
+def test_a_planner_started_again_beside_a_killed_one_is_obeyed_once_the_graph_has_forgotten_that(graph: Graph) -> None:
+    surgeon = Surgeon(graph)
+    heard, began, said = graph.restart("planner"), time.monotonic(), set()
+    graph.planned.wait(START_S, lambda message: "field_hash" in values(message), after=heard)
+    ready_s = time.monotonic() - began
+    while not (answer := surgeon.execute()).success:
+        assert time.monotonic() - began < START_S, answer.message
+        said.add(answer.message)
+        graph.ask("plan_raster")
+        time.sleep(0.5)
+    print(f"started again: a field after {ready_s:.1f} s, fired after {time.monotonic() - began:.1f} s; said: {said}")
+    assert all("plan again" in words or "sign of life" in words for words in said), said

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from octn_ros.errors import ConfigurationError
 from octn_ros.simulation import (
     Conditions,
     Inaccuracy,
@@ -13,7 +14,7 @@ from octn_ros.simulation import (
     why_off,
 )
 
-GOOD = {"enabled": True, "plan_age_s": 5.0, "planner_alive": True, "tissue_moved_m": 50e-6, "stalled_s": 0.2}
+GOOD = {"enabled": True, "plan_age_s": 5.0, "unvouched": None, "tissue_moved_m": 50e-6, "stalled_s": 0.2}
 
 
 def test_with_every_condition_held_the_laser_may_be_on():
@@ -27,11 +28,12 @@ def test_with_every_condition_held_the_laser_may_be_on():
         ({"plan_age_s": 601.0}, "0 to 600 s old, got one of 601.0 s"),
         ({"plan_age_s": -0.1}, "got one of -0.1 s"),
         ({"plan_age_s": math.nan}, "got one of nan s"),
-        ({"planner_alive": False}, "got none in the graph"),
+        ({"unvouched": "expected a planner"}, "expected a planner"),
         ({"tissue_moved_m": 120e-6}, "within 100 um of its place at the scan, got it 120 um away"),
         ({"tissue_moved_m": math.nan}, "nan um away"),
         ({"stalled_s": 0.6}, "every 0.5 s at least while the shutter is open, got none for 0.60 s"),
         ({"stalled_s": math.nan}, "none for nan s"),
+        ({"stalled_s": -0.1}, "none for -0.10 s"),
     ],
 )
 def test_each_condition_alone_turns_it_off(changes, reason):
@@ -40,6 +42,13 @@ def test_each_condition_alone_turns_it_off(changes, reason):
 
 def test_tissue_need_not_be_watched():
     assert why_off(InterlockConfig(max_tissue_motion_m=0.0), Conditions(**{**GOOD, "tissue_moved_m": 1.0})) is None
+
+
+@pytest.mark.parametrize("silence_s", [1.5, 2.0])
+def test_a_planner_may_be_silent_for_longer_than_the_simulator_may_be_deaf(silence_s):
+    assert InterlockConfig(planner_silence_s=silence_s, longest_stall_s=0.4).planner_silence_s == silence_s
+    with pytest.raises(ConfigurationError, match=f"above {1.0 + silence_s - 1.0:g} s.*got {silence_s:g} s"):
+        InterlockConfig(planner_silence_s=silence_s, longest_stall_s=silence_s - 1.0)
 
 
 def test_tissue_jumps_drifts_and_goes_on_from_there():

@@ -13,6 +13,7 @@ def values(count=4):
         "speed_m_s": np.full(count, 0.01),
         "stamp_ns": 7,
         "frame": "tool0",
+        "hash": "ab12" * 4,
     }
 
 

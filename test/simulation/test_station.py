@@ -1,6 +1,7 @@
 """The platform without ROS: what it fires, at what, why it stops, and what it writes down."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,11 +15,11 @@ from octn_ros.simulation import (
     LaserConfig,
     LaserPath,
     Mounting,
-    Order,
     PhantomConfig,
     PhantomTissue,
     Station,
     TissueMotionConfig,
+    Voucher,
     default_audit_path,
     make_phantom,
 )
@@ -27,7 +28,9 @@ NOW_NS = 5_000_000_000
 PERIOD_S = 0.008
 CONFIG = PhantomConfig(shape=(40, 64, 80), surface="flat", surface_depth_m=3e-4)
 LASER = LaserConfig()
-ORDER = Order("A. Surgeon", "planner", "f" * 16)
+OPERATOR = "A. Surgeon"
+VOUCHER = Voucher({"waypoints": 1}, 0.5, "planner", str(NOW_NS), "1" * 16, "f" * 16)
+NOBODY = Voucher({"waypoints": 0})
 INTERLOCK = InterlockConfig()
 HOME = np.array([[1.0, 0, 0, 0.4], [0, -1, 0, 0.1], [0, 0, -1, 0.3], [0, 0, 0, 1]])
 OCT2EE = np.array([[0.0, -1, 0, 0.04], [1, 0, 0, -0.02], [0, 0, 1, 0.13], [0, 0, 0, 1]])
@@ -43,7 +46,7 @@ def raster(side=4, spacing_m=75e-6):
     poses[:, 1, 3] = 0.45e-3 + spacing_m * rows
     poses[:, 2, 3] = 3e-4
     on, speed = np.ones(side * side, bool), np.full(side * side, 5e-3)
-    return LaserPath(OCT2EE @ poses, rows, on, speed, NOW_NS, "tool0")
+    return LaserPath(OCT2EE @ poses, rows, on, speed, NOW_NS, "tool0", "1" * 16)
 
 
 def station(tmp_path, tissue=None, motion=STILL, **errors):
@@ -63,13 +66,13 @@ def station(tmp_path, tissue=None, motion=STILL, **errors):
     return made
 
 
-def run(made, steps=10_000, alive=lambda step: True, interlock=INTERLOCK):
+def run(made, steps=10_000, voucher=lambda step: VOUCHER, interlock=INTERLOCK):
     """Execute; return the reason of a stop, and the time at the end."""
-    made.execute(ORDER, LASER, interlock, True, NOW_NS, 1.0)
+    made.execute(OPERATOR, LASER, interlock, VOUCHER, NOW_NS, 1.0)
     now_ns = NOW_NS
     for step in range(steps):
         now_ns += round(PERIOD_S * 1e9)
-        reason = made.step(PERIOD_S, interlock, alive(step), now_ns, 1.0)
+        reason = made.step(PERIOD_S, interlock, voucher(step), now_ns, 1.0)
         if made.arm.state != "executing":
             return reason, now_ns
     return None, now_ns
@@ -87,7 +90,7 @@ def test_an_execution_cuts_the_tissue_and_is_written_down(tmp_path):
     assert begun["time_ns"] == NOW_NS
     assert begun["operator"] == "A. Surgeon"
     assert (begun["planner"], begun["scan_hash"], begun["field_hash"]) == ("planner", "5" * 16, "f" * 16)
-    assert begun["plan_hash"] == end["plan_hash"] == raster().content_hash
+    assert begun["plan_hash"] == end["plan_hash"] == raster().hash
     assert begun["laser"]["power_w"] == LASER.power_w
     assert [shot["waypoint"] for shot in shots] == list(range(16))
     times = [shot["time_ns"] for shot in shots]
@@ -137,17 +140,17 @@ def test_tissue_that_moves_a_little_is_hit_beside_the_plan(tmp_path):
 
 def test_nothing_is_fired_unless_everything_is_well(tmp_path):
     made = station(tmp_path)
-    for change, interlock, alive, reason in (
-        ({"enabled": False}, INTERLOCK, True, "enable_laser"),
-        ({}, InterlockConfig(plan_max_age_s=0.5), True, "got one of 1.0 s"),
-        ({}, INTERLOCK, False, "planner"),
+    for change, interlock, voucher, reason in (
+        ({"enabled": False}, INTERLOCK, VOUCHER, "enable_laser"),
+        ({}, InterlockConfig(plan_max_age_s=0.5), VOUCHER, "got one of 1.0 s"),
+        ({}, INTERLOCK, NOBODY, "planner"),
     ):
         made.enabled = change.get("enabled", True)
         with pytest.raises(ExecutionError, match=reason):
-            made.execute(ORDER, LASER, interlock, alive, NOW_NS + 1_000_000_000, 1.0)
+            made.execute(OPERATOR, LASER, interlock, voucher, NOW_NS + 1_000_000_000, 1.0)
     made.move_tissue(TissueMotionConfig(shift_m=(0.0, 0.0, 150e-6), tracker_noise_m=0.0), NOW_NS)
     with pytest.raises(ExecutionError, match="150 um away"):
-        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
+        made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, NOW_NS, 1.0)
     assert made.arm.state == "staged", "and the plan stands"
     assert made.execution is None
 
@@ -155,7 +158,12 @@ def test_nothing_is_fired_unless_everything_is_well(tmp_path):
 @pytest.mark.parametrize(
     ("trouble", "reason"),
     [
-        ({"alive": lambda step: step < 20}, "planner"),
+        ({"voucher": lambda step: VOUCHER if step < 20 else NOBODY}, "planner"),
+        ({"voucher": lambda step: replace(VOUCHER, silent_s=4.9 + step * PERIOD_S)}, "got none for 5.0 s"),
+        (
+            {"voucher": lambda step: replace(VOUCHER, plan_hash="12"[step > 20] * 16)},
+            "got 2222222222222222, 5000000000 and",
+        ),
         ({"interlock": InterlockConfig(plan_max_age_s=20 * PERIOD_S + 1e-6)}, "s old"),
         ({"drift": TissueMotionConfig(drift_m_s=(600e-6, 0.0, 0.0), tracker_noise_m=0.0)}, "um away"),
     ],
@@ -171,10 +179,10 @@ def test_trouble_on_the_way_turns_the_laser_off_in_the_same_step(tmp_path, troub
     assert 0 < len(shots) < 16
     assert (end["outcome"], end["reason"], end["shots"]) == ("aborted", stopped, len(shots))
     assert shots[-1]["time_ns"] + shots[-1]["dwell_s"] * 1e9 <= now_ns
-    assert made.step(1.0, INTERLOCK, True, now_ns, 1.0) is None
+    assert made.step(1.0, INTERLOCK, VOUCHER, now_ns, 1.0) is None
     assert len(lines(tmp_path, "shot")) == len(shots)
     with pytest.raises(ExecutionError, match="was stopped"):
-        made.execute(ORDER, LASER, INTERLOCK, True, now_ns, 1.0)
+        made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, now_ns, 1.0)
 
 
 def test_a_loop_that_was_held_up_with_the_shutter_open_turns_the_laser_off(tmp_path):
@@ -184,15 +192,15 @@ def test_a_loop_that_was_held_up_with_the_shutter_open_turns_the_laser_off(tmp_p
         (0.6, INTERLOCK, "every 0.5 s at least while the shutter is open, got none for 0.60 s"),
     ):
         made, now_ns = station(tmp_path), NOW_NS
-        made.execute(ORDER, LASER, interlock, True, now_ns, 1.0)
+        made.execute(OPERATOR, LASER, interlock, VOUCHER, now_ns, 1.0)
         now_ns += 2_000_000_000
-        assert made.step(PERIOD_S, interlock, True, now_ns, 1.0) is None, "the shutter is closed on the way there"
+        assert made.step(PERIOD_S, interlock, VOUCHER, now_ns, 1.0) is None, "the shutter is closed on the way there"
         while not made.arm.laser_on:
             assert made.arm.state == "executing"
             now_ns += round(PERIOD_S * 1e9)
-            assert made.step(PERIOD_S, interlock, True, now_ns, 1.0) is None
+            assert made.step(PERIOD_S, interlock, VOUCHER, now_ns, 1.0) is None
         now_ns += round(stalled_s * 1e9)
-        stopped = made.step(5 * PERIOD_S, interlock, True, now_ns, 1.0)
+        stopped = made.step(5 * PERIOD_S, interlock, VOUCHER, now_ns, 1.0)
         if reason is None:
             assert (stopped, made.arm.state) == (None, "executing")
         else:
@@ -204,12 +212,13 @@ def test_a_loop_that_was_held_up_with_the_shutter_open_turns_the_laser_off(tmp_p
 
 def test_limits_changed_on_the_way_are_written_down_before_they_hold(tmp_path):
     made, now_ns = station(tmp_path), NOW_NS
-    made.execute(ORDER, LASER, INTERLOCK, True, now_ns, 1.0)
+    made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, now_ns, 1.0)
     (begun,) = lines(tmp_path, "execute")
     assert begun["limits"] == {
         "interlock.plan_max_age_s": 600.0,
         "interlock.max_tissue_motion_m": 100e-6,
         "interlock.longest_stall_s": 0.5,
+        "interlock.planner_silence_s": 5.0,
         "time_factor": 1.0,
     }
     looser = InterlockConfig(plan_max_age_s=900.0, max_tissue_motion_m=0.0)
@@ -218,7 +227,7 @@ def test_limits_changed_on_the_way_are_written_down_before_they_hold(tmp_path):
     for interlock, factor in ((INTERLOCK, 1.0), (looser, 1.0), (looser, 2.0), (looser, 2.0), (stricter, 2.0)):
         assert stopped is None
         now_ns += round(PERIOD_S * 1e9)
-        stopped = made.step(PERIOD_S, interlock, True, now_ns, factor)
+        stopped = made.step(PERIOD_S, interlock, VOUCHER, now_ns, factor)
     assert "0 to 0.001 s old" in stopped
     period_ns = round(PERIOD_S * 1e9)
     changes = lines(tmp_path, "change")
@@ -252,13 +261,13 @@ def test_what_cannot_be_written_down_is_not_fired(tmp_path):
         run(made)
     assert made.arm.state == "staged"
     (tmp_path / "folder").unlink()
-    made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
+    made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, NOW_NS, 1.0)
     (tmp_path / "folder" / "audit.jsonl").unlink()
     (tmp_path / "folder" / "audit.jsonl").mkdir()
     now_ns, stopped = NOW_NS, None
     while stopped is None and made.arm.state == "executing":
         now_ns += round(PERIOD_S * 1e9)
-        stopped = made.step(PERIOD_S, INTERLOCK, True, now_ns, 1.0)
+        stopped = made.step(PERIOD_S, INTERLOCK, VOUCHER, now_ns, 1.0)
     assert "audit record" in stopped
     assert made.arm.state == "aborted"
 
@@ -278,7 +287,7 @@ def test_after_an_abort_the_arm_goes_home_for_the_next_scan(tmp_path):
     made.stop("an abort was asked for", NOW_NS, 1.0)
     assert not made.at_home()
     travel_s = made.go_home(NOW_NS)
-    assert made.step(travel_s + 1e-6, INTERLOCK, True, NOW_NS, 1.0) is None
+    assert made.step(travel_s + 1e-6, INTERLOCK, VOUCHER, NOW_NS, 1.0) is None
     assert made.at_home()
     assert made.arm.state == "idle"
 
@@ -287,13 +296,13 @@ def test_a_new_scan_or_a_withdrawal_takes_the_plan_away(tmp_path):
     made = station(tmp_path)
     made.begin_scan(NOW_NS + 1, "6" * 16, np.zeros(3))
     with pytest.raises(ExecutionError, match="new scan has withdrawn"):
-        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
+        made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, NOW_NS, 1.0)
     with pytest.raises(ExecutionError, match="another scan"):
         made.stage(raster())
     made = station(tmp_path)
-    made.withdraw()
+    made.withdraw("the planner has withdrawn the plan")
     with pytest.raises(ExecutionError, match="planner has withdrawn"):
-        made.execute(ORDER, LASER, INTERLOCK, True, NOW_NS, 1.0)
+        made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, NOW_NS, 1.0)
 
 
 def test_a_recording_is_fired_at_but_not_cut(tmp_path):

@@ -19,7 +19,7 @@ from octn_ros.nodes.conversions.poses import (
     to_path,
     to_pose_array,
 )
-from octn_ros.nodes.conversions.tool_paths import TOOL_PATH, cloud_to_tool_path, tool_path
+from octn_ros.nodes.conversions.tool_paths import TOOL_PATH, cloud_to_tool_path, plan_hash, tool_path, tool_path_poses
 
 __all__ = [
     "FORMAT",
@@ -39,6 +39,7 @@ __all__ = [
     "line_marker",
     "matrix_to_pose_stamped",
     "picture_to_grid",
+    "plan_hash",
     "pose_to_matrix",
     "poses_to_matrices",
     "shortest_decimal",
@@ -54,4 +55,5 @@ __all__ = [
     "to_path",
     "to_pose_array",
     "tool_path",
+    "tool_path_poses",
 ]

@@ -45,7 +45,15 @@ def poses_to_matrices(poses: Sequence[Pose]) -> NDArray[np.float64]:
         (p.position.x, p.position.y, p.position.z, p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w)
         for p in poses
     ]
-    numbers = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    return rigid_transforms(np.array(rows, dtype=np.float64).reshape(-1, 7))
+
+
+def rigid_transforms(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions and quaternions [N, (x, y, z, qx, qy, qz, qw)] as transforms [N, 4, 4].
+
+    Raises:
+        ExecutionError: a coordinate is not finite, or a quaternion not of unit length within 1e-3.
+    """
     # NaN fails this comparison too.
     good = np.isfinite(numbers).all(axis=1) & (np.abs(np.linalg.norm(numbers[:, 3:], axis=1) - 1.0) <= 1e-3)
     if not good.all():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,14 @@ from sensor_msgs.msg import PointCloud2
 
 from octn_ros.errors import ExecutionError
 from octn_ros.nodes.conversions.clouds import columns
+from octn_ros.nodes.conversions.headers import stamp_to_ns
+from octn_ros.nodes.conversions.poses import rigid_transforms
 from octn_ros.planning import quaternions_xyzw
 
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 TOOL_PATH = np.dtype(
     [
-        *((name, "<f4") for name in ("x", "y", "z", "qx", "qy", "qz", "qw")),
+        *((name, "<f4") for name in _POSE),
         ("segment", "<u4"),
         ("laser_on", "u1"),
         *((name, "<f4") for name in ("speed", "residual", "confidence")),
@@ -56,3 +60,23 @@ def cloud_to_tool_path(message: PointCloud2) -> NDArray[np.void]:
     if len(message.data) != count * TOOL_PATH.itemsize:
         raise ExecutionError(f"expected {count} waypoints of {TOOL_PATH.itemsize} bytes, got {len(message.data)} bytes")
     return np.frombuffer(bytes(message.data), TOOL_PATH)
+
+
+def tool_path_poses(rows: NDArray[np.void]) -> NDArray[np.float64]:
+    """Return the poses [N, 4, 4] of a tool path [N].
+
+    Raises:
+        ExecutionError: a coordinate is not finite, or a quaternion not of unit length within 1e-3.
+    """
+    return rigid_transforms(np.stack([rows[name].astype(np.float64) for name in _POSE], axis=-1))
+
+
+def plan_hash(message: PointCloud2) -> str:
+    """Return the identity of the plan whose `tool_path` this is: 16 hex digits of SHA-256.
+
+    Of the stamp in nanoseconds as decimal digits, a space, the name of the frame, a line feed, and then the bytes of
+    `data`: any planner can work it out from what it publishes.
+    """
+    digest = hashlib.sha256(f"{stamp_to_ns(message.header.stamp)} {message.header.frame_id}\n".encode())
+    digest.update(message.data)
+    return digest.hexdigest()[:16]
