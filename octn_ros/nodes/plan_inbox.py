@@ -14,7 +14,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from octn_ros.errors import ExecutionError, OctnError
+from octn_ros.errors import ExecutionError, in_words
 from octn_ros.nodes import conversions, diagnostics, qos, status
 from octn_ros.simulation import LaserPath, Voucher
 
@@ -150,5 +150,5 @@ class PlanInbox:
                 tool_path.header.frame_id,
                 conversions.plan_hash(tool_path),
             )
-        except OctnError as error:
-            self._refused(str(error))
+        except Exception as error:  # whatever the message holds, the node lives on
+            self._refused(in_words(error))

@@ -7,10 +7,11 @@ import threading
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from octn_ros.errors import OctnError
+from octn_ros.errors import OctnError, in_words
 from octn_ros.nodes import process, qos, status
 from octn_ros.nodes.diagnostics import NodeDiagnostics
 from octn_ros.nodes.parameters import ConfigParameters
@@ -70,7 +71,7 @@ class Simulator(Node):
             AuditRecord(config.audit_file),
             self._now_ns(),
         )
-        self._looking = False  # a scan is being made ready
+        self._looking = self._called_off = False  # a scan is being made ready, and was aborted meanwhile
         self._stepped_ns = self._reported_ns = 0
 
         self._player = ScanPlayer(self, self._station.shape[0], config.bscan_reliability)
@@ -86,8 +87,10 @@ class Simulator(Node):
             SetBool, "enable_laser", self._enable_laser, qos_profile=qos.SERVICES, callback_group=commands
         )
         self.create_timer(1.0 / config.ee_pose_rate_hz, self._show_motion, callback_group=motion)
-        # The control period costs a fifth of a core, so its timer runs while the arm moves only.
-        self._step_timer = self.create_timer(arm.control_period_s, self._step, callback_group=motion)
+        # The control period costs a fifth of a core, so its timer runs while the arm moves only; by a steady clock, for
+        # simulated time may stand or be set back while the laser is on.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._step_timer = self.create_timer(arm.control_period_s, self._step, callback_group=motion, clock=steady)
         self._step_timer.cancel()
         self._longest_step_s = LONGEST_STEP * arm.control_period_s
         shape = " x ".join(str(n) for n in self._station.shape)
@@ -125,13 +128,15 @@ class Simulator(Node):
         config, station = self._config.config(), self._station
         with self._lock:
             self._check_scan()
-            self._looking = True
+            self._looking, self._called_off = True, False
             station.move_tissue(self._motion.config(), self._now_ns())
             place_m = station.tissue_place_m(self._now_ns())
         # Outside the lock: changed tissue takes a second to be seen, and an abort must not wait for it.
         scanner = station.look(place_m, config.bscan_factor)
         scan_hash = scanner.content_hash
         with self._lock:
+            if self._called_off:
+                raise OctnError("an abort was asked for while it was made ready")
             way = ""
             start_ns = self._now_ns()
             if not station.at_home():
@@ -172,8 +177,8 @@ class Simulator(Node):
                         self._reports.say(status.WARN, f"plan of {len(path)} waypoints waits: {unvouched}", log=False)
                     return False
                 self._station.stage(path)
-        except OctnError as error:
-            self._on_bad_plan(str(error))
+        except Exception as error:  # whatever the plan holds, the node lives on
+            self._on_bad_plan(in_words(error))
             return True
         self._reports.say(status.OK, f"plan of {len(path)} waypoints staged")
         return True
@@ -217,8 +222,8 @@ class Simulator(Node):
                 config, voucher = self._config.config(), self._plans.voucher()
                 laser, interlock = self._laser.config(), self._interlock.config()
                 station.execute(config.operator, laser, interlock, voucher, self._now_ns(), config.time_factor)
-            except OctnError as error:
-                response.message = f"execute refused: {error}"
+            except Exception as error:  # a fault of ours too must not end the node
+                response.message = f"execute refused: {in_words(error)}"
                 asked.refused(response.message)
                 self._reports.say(status.ERROR, response.message)
                 return response
@@ -230,7 +235,8 @@ class Simulator(Node):
 
     def _abort(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            state = self._station.arm.state
+            state = "returning" if self._looking else self._station.arm.state
+            self._called_off = True
             self._stop("an abort was asked for")
             response.success = True
             response.message = {
@@ -282,6 +288,8 @@ class Simulator(Node):
                 self._diagnostics.failed(f"aborted: {reason}")
                 self._reports.show_removed()
                 self._reports.say(status.ERROR, f"aborted: {reason}")
+            elif station.arm.state == "returning" and now_ns >= station.scan_stamp_ns:
+                self._stop("the arm is not where scans are taken in time, for time_factor was lowered on its way")
             elif station.arm.state == "done":
                 self._reports.show_removed()
                 self._reports.say(status.OK, f"done: {station.arm.executed} shots")

@@ -160,7 +160,7 @@ class Arm:
             dwell_s: length of the burst at each firing waypoint, seconds.
 
         Raises:
-            ExecutionError: nothing is staged.
+            ExecutionError: nothing is staged, or the plan cannot be followed.
         """
         if self.state != "staged" or self.path is None:
             raise ExecutionError(f"expected a staged plan, got none (the arm is {self.state}); stage a plan first")

@@ -49,7 +49,8 @@ class Conditions:
         plan_age_s: time since the scan that the plan was made on, by the clock that stamped it.
         unvouched: why no planner stands for the plan, None if one does.
         tissue_moved_m: measured distance of the tissue from its place at that scan.
-        stalled_s: time since these conditions were last looked at; 0 with the shutter closed.
+        stalled_s: time since these conditions were last looked at, by the clock that stamped the scan; at most 0 with
+            the shutter closed.
     """
 
     enabled: bool
@@ -76,7 +77,9 @@ def why_off(config: InterlockConfig, conditions: Conditions) -> str | None:
             f"expected tissue within {config.max_tissue_motion_m * 1e6:.0f} um of its place at the scan, got it "
             f"{conditions.tissue_moved_m * 1e6:.0f} um away; scan and plan again"
         )
-    if not 0.0 <= conditions.stalled_s <= config.longest_stall_s:
+    if conditions.stalled_s < 0.0:
+        return f"expected a clock that goes on, got one set back by {-conditions.stalled_s:.2f} s; scan and plan again"
+    if not conditions.stalled_s <= config.longest_stall_s:
         return (
             f"expected a look at the interlock every {config.longest_stall_s:g} s at least while the shutter is "
             f"open, got none for {conditions.stalled_s:.2f} s; take load off the computer, scan and plan again"

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from octn_ros.errors import ExecutionError
 from octn_ros.simulation.pose import checked_poses
 
+SLOWEST_M_S = 1e-6  # a millimetre in a quarter of an hour; a slower focus stands still with the shutter open
+
 
 @dataclass(frozen=True, eq=False)
 class LaserPath:
@@ -25,8 +27,8 @@ class LaserPath:
         hash: identity of the plan, as its planner states it too; without one nobody can stand for it.
 
     Raises:
-        ExecutionError: the lengths differ, a pose is not rigid within 1e-6, or a speed is not positive. A path
-            without waypoints is one: it stands for no plan, and the arm refuses it.
+        ExecutionError: the lengths differ, a pose is not rigid within 1e-6, or a speed is below a micrometre per
+            second. A path without waypoints is one: it stands for no plan, and the arm refuses it.
     """
 
     waypoints_ee: NDArray[np.float64]
@@ -46,10 +48,12 @@ class LaserPath:
                 raise ExecutionError(f"expected {name} for {count} waypoints, got shape {array.shape}")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        forward = np.isfinite(self.speed_m_s) & (self.speed_m_s > 0.0)
+        forward = np.isfinite(self.speed_m_s) & (self.speed_m_s >= np.float32(SLOWEST_M_S))
         if not forward.all():
             first = int(np.argmin(forward))
-            raise ExecutionError(f"expected speeds above 0 m/s, got {self.speed_m_s[first]:g} at waypoint {first}")
+            raise ExecutionError(
+                f"expected speeds of at least {SLOWEST_M_S:g} m/s, got {self.speed_m_s[first]:g} at waypoint {first}"
+            )
 
     def __len__(self) -> int:
         """Return the number of waypoints."""

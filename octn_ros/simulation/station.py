@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from octn_ros.errors import ExecutionError
+from octn_ros.errors import ExecutionError, in_words
 from octn_ros.simulation.ablation import PhantomTissue
 from octn_ros.simulation.arm import Arm, ArmConfig
 from octn_ros.simulation.audit import AuditRecord
@@ -147,8 +147,11 @@ class Station:
         """Take a plan to be executed later.
 
         Raises:
-            ExecutionError: the arm refuses it.
+            ExecutionError: there is no scan yet, or the arm refuses it.
         """
+        if not self.scan_stamp_ns:
+            self.arm.withdraw()
+            raise ExecutionError("expected a scan before its plan, got none yet; scan and plan again")
         self.arm.stage(path, self.scan_stamp_ns, self._mounting.home2base)
 
     @property
@@ -189,7 +192,8 @@ class Station:
             factor: seconds of the arm's time per second of the clock.
 
         Raises:
-            ExecutionError: nothing is staged, the interlock says no, or the audit record cannot be written.
+            ExecutionError: nothing is staged, the interlock says no, the audit record cannot be written, or the arm
+                cannot follow the plan, which is then dropped.
         """
         path = self.staged
         if path is None:
@@ -213,7 +217,12 @@ class Station:
         )
         limits = _limits(interlock, factor)
         self.execution = Execution(order, laser, setting, self.tissue, self._audit, now_ns, limits)
-        self.arm.execute(now_ns, laser.dwell_s)
+        try:
+            self.arm.execute(now_ns, laser.dwell_s)
+        except Exception as error:
+            self.withdraw(f"the last one was refused: {in_words(error)}")
+            self.execution.end("aborted", in_words(error), now_ns)
+            raise
         self._looked_ns = now_ns
 
     def step(self, dt_s: float, interlock: InterlockConfig, voucher: Voucher, now_ns: int, factor: float) -> str | None:
@@ -284,8 +293,13 @@ class Station:
         assert path is not None
         moved_m = float(np.linalg.norm(self.measured_motion_m(now_ns)))
         age_s = (now_ns - path.stamp_ns) * 1e-9
-        # With the shutter closed nothing is done to the tissue meanwhile, and the arm just goes on later.
-        stalled_s = (now_ns - self._looked_ns) * 1e-9 if self.arm.laser_on else 0.0
+        stalled_s = (now_ns - self._looked_ns) * 1e-9
+        if self.arm.state != "executing":
+            stalled_s = 0.0
+        elif not self.arm.laser_on:
+            # Nothing is done to the tissue meanwhile, and the arm just goes on later. A clock that was set back is
+            # told, for the age of a plan is no longer known.
+            stalled_s = min(stalled_s, 0.0)
         unvouched = voucher.why_not(path, interlock.planner_silence_s)
         return why_off(interlock, Conditions(self.enabled, age_s, unvouched, moved_m, stalled_s))
 

@@ -71,8 +71,12 @@ def passing_rates(
 
 
 def passing_times(parameter: NDArray[np.float64], rates: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return when each place [K] is passed, seconds from the first, for a squared rate linear in between."""
-    legs = 2.0 * np.diff(parameter) / (rates[1:] + rates[:-1])
+    """Return when each place [K] is passed, seconds from the first, for a squared rate linear in between.
+
+    Infinite beyond a place where a rate of 0 follows another: too small a rate beside others is rounded to 0.
+    """
+    with np.errstate(divide="ignore"):
+        legs = 2.0 * np.diff(parameter) / (rates[1:] + rates[:-1])
     return np.concatenate(([0.0], np.cumsum(legs)))
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, PPoly
 from scipy.spatial.transform import Rotation
 
+from octn_ros.errors import ExecutionError
 from octn_ros.settings import check_settings, setting
 from octn_ros.simulation.time_law import Quantity, passing_rates, passing_times
 
@@ -55,6 +56,9 @@ class Trajectory:
 
     Attributes:
         times_s: when each pose is reached [M], seconds from the start.
+
+    Raises:
+        ExecutionError: legs and speeds differ by so much that the motion would never end.
     """
 
     def __init__(
@@ -98,6 +102,12 @@ class Trajectory:
         waited = np.concatenate(([0.0], np.cumsum(np.repeat(pauses[:-1], _PLACES) * stops[:-1])))
         self._places, self._rates = places, rates
         moving_s = passing_times(places, rates)
+        if not np.isfinite(moving_s).all():  # the focus would stand still on the way, maybe with the shutter open
+            raise ExecutionError(
+                f"expected a path that can be followed in a finite time, got legs of {lengths.min():.3g} to "
+                f"{lengths.max():.3g} m at {focus_speed_m_s.min():.3g} to {focus_speed_m_s.max():.3g} m/s; leave out "
+                "waypoints that lie upon each other, and make the speeds less different"
+            )
         self._leaving_s = moving_s + np.append(waited[1:], waited[-1])
         self._arriving_s = moving_s + waited
         self.times_s = self._arriving_s[::_PLACES]
@@ -121,7 +131,9 @@ class Trajectory:
         index = np.clip(np.searchsorted(self._arriving_s, flat, side="right") - 1, 0, len(self._places) - 2)
         since = np.maximum(flat - self._leaving_s[index], 0.0)
         leg_s = self._arriving_s[index + 1] - self._leaving_s[index]
-        rise = (self._rates[index + 1] - self._rates[index]) / leg_s
+        gain = self._rates[index + 1] - self._rates[index]
+        # A leg may take no time that float64 can tell beside all before it.
+        rise = np.divide(gain, leg_s, out=np.zeros_like(leg_s), where=leg_s > 0.0)
         place = self._places[index] + (self._rates[index] + 0.5 * rise * since) * since
         return self._at(np.minimum(place, self._places[index + 1])).reshape(*times.shape, 4, 4)
 

@@ -6,7 +6,7 @@ import pytest
 from geometry_msgs.msg import Pose, PoseStamped
 from hypothesis import given
 from hypothesis import strategies as st
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage, Image, PointField
 from std_msgs.msg import Header
 
 from octn_ros import field
@@ -131,12 +131,38 @@ def test_a_cloud_with_a_number_that_is_none_is_not_dense() -> None:
 
 def test_another_cloud_is_no_tool_path() -> None:
     message = conversions.to_cloud(np.zeros(2, [("x", "<f4"), ("y", "<f4")]), 0, "tool0")
-    with pytest.raises(ExecutionError, match="expected a tool path with the columns"):
+    with pytest.raises(ExecutionError, match="expected a tool path of little-endian rows"):
         conversions.cloud_to_tool_path(message)
     cut = conversions.to_cloud(np.zeros(2, conversions.TOOL_PATH), 0, "tool0")
     cut.data = cut.data[:-1]
     with pytest.raises(ExecutionError, match="bytes"):
         conversions.cloud_to_tool_path(cut)
+
+
+@pytest.mark.parametrize("what", ["float64", "swapped", "big-endian", "wider rows"])
+def test_a_tool_path_of_another_layout_is_told_from_ours(what: str) -> None:
+    kind = conversions.TOOL_PATH
+    if what == "float64":
+        kind = np.dtype([(name, "<u4" if name == "segment" else "<f4") for name in kind.names])
+    elif what == "swapped":
+        kind = np.dtype([(name, kind[name]) for name in ("y", "x", *kind.names[2:])])
+    message = conversions.to_cloud(np.zeros(2, kind), 0, "tool0")
+    if what == "float64":
+        for column in message.fields:
+            column.datatype = PointField.FLOAT64
+    message.is_bigendian = what == "big-endian"
+    message.point_step += what == "wider rows"
+    with pytest.raises(ExecutionError, match=r"little-endian rows of 45 bytes .* got (big|little)-endian rows of \d+"):
+        conversions.cloud_to_tool_path(message)
+
+
+@pytest.mark.parametrize(("name", "value"), [("x", np.nan), ("z", np.inf), ("qw", 1.1), ("qy", np.nan)])
+def test_a_tool_path_with_a_pose_that_is_none_is_refused(name: str, value: float) -> None:
+    rows = conversions.tool_path(poses(3), *np.ones((5, 3)))
+    np.testing.assert_allclose(conversions.tool_path_poses(rows), poses(3), atol=1e-6)
+    rows[name][1] = value
+    with pytest.raises(ExecutionError, match="finite poses with unit quaternions, got 1 of 3 others, the first at 1"):
+        conversions.tool_path_poses(rows)
 
 
 def test_the_grid_has_square_cells_over_the_ascans() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +15,7 @@ from std_srvs.srv import Trigger
 from octn_ros.errors import ConfigurationError
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.simulator import Simulator
-from octn_ros.simulation import PhantomConfig, make_phantom
+from octn_ros.simulation import PhantomConfig, Station, make_phantom
 from octn_ros.volume import save_volume
 
 TIMEOUT_S = 30.0
@@ -98,6 +99,48 @@ def test_after_an_abort_the_arm_goes_back_before_it_scans(simulator_bench: Calla
     )
     place = pose.pose.position
     assert (place.x, place.y, place.z) == pytest.approx((home.x, home.y, home.z), abs=1e-9)
+
+
+def test_an_arm_that_does_not_get_home_in_time_is_not_scanned_from(simulator_bench: Callable[..., Any]) -> None:
+    bench = simulator_bench(on_time=True)
+    bench.executing()
+    bench.client.wait_for(lambda: bench.node._station.arm.progress[0] > 20, TIMEOUT_S, "arm away from home")
+    bench.call("abort")
+    before = len(bench.bscan.messages)
+    assert "once the arm is back" in bench.call("scan").message
+    bench.set("time_factor", 0.01)
+    bench.until("not where scans are taken in time", "the scan is cancelled")
+    bench.set("time_factor", 100.0)
+    bench.scan()
+    bench.bscan.wait(TIMEOUT_S, lambda message: message.header.stamp != bench.bscan.messages[before].header.stamp)
+    assert bench.node._station.at_home()
+
+
+def test_an_abort_while_a_scan_is_made_ready_calls_it_off(
+    simulator_bench: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = simulator_bench(on_time=True)
+    bench.executing()
+    bench.call("abort")
+    look, looking, go_on = Station.look, threading.Event(), threading.Event()
+
+    def slow(*arguments: Any) -> Any:
+        looking.set()
+        assert go_on.wait(TIMEOUT_S)
+        return look(*arguments)
+
+    monkeypatch.setattr(Station, "look", slow)
+    before, asked = len(bench.bscan.messages), bench.client.node.create_client(Trigger, "scan")
+    future = asked.call_async(Trigger.Request())
+    assert looking.wait(TIMEOUT_S)
+    assert bench.call("abort").message.startswith("the scan is cancelled")
+    go_on.set()
+    bench.client.wait_for(future.done, TIMEOUT_S, "answer")
+    assert (future.result().success, "an abort was asked for" in future.result().message) == (False, True)
+    assert bench.node._station.arm.state == "aborted", "the arm stays where it is"
+    monkeypatch.undo()
+    bench.scan()
+    assert len(bench.bscan.messages) == before + bench.bscans
 
 
 def test_a_sparse_scan_takes_as_much_less_time(simulator_bench: Callable[..., Any]) -> None:

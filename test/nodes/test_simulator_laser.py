@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3Stamped
+from rosgraph_msgs.msg import Clock
 
 from octn_ros.nodes import qos
-from octn_ros.simulation import LaserConfig, PhantomTissue
+from octn_ros.simulation import Arm, LaserConfig, PhantomTissue
 
 TIMEOUT_S = 30.0
 PERIOD_NS = 8_000_000
@@ -123,6 +125,72 @@ def test_the_laser_is_off_when_it_is_disabled_or_the_plan_withdrawn(
     else:
         bench.planner.plan(stamp_ns, bench.line(0 if how == "withdraw" else 5))
         bench.ended("withdrawn" if how == "withdraw" else "replaced")
+
+
+class SimulatedClock:
+    """Publishes /clock, a hundredth of a second every hundredth."""
+
+    def __init__(self, client: Any) -> None:
+        self.now_s, self.runs = 100.0, True
+        self._publisher = client.node.create_publisher(Clock, "/clock", 1)
+        client.node.create_timer(0.01, self._tick)
+
+    def _tick(self) -> None:
+        self.now_s += 0.01 if self.runs else 0.0
+        seconds, rest = divmod(self.now_s, 1.0)
+        self._publisher.publish(Clock(clock=Time(sec=int(seconds), nanosec=int(rest * 1e9))))
+
+
+def test_the_interlock_is_looked_at_while_simulated_time_stands(
+    simulator_bench: Callable[..., Any], client: Any
+) -> None:
+    bench, clock = simulator_bench(on_time=True, use_sim_time=True), SimulatedClock(client)
+    bench.executing()
+    clock.runs = False
+    bench.set("tissue.shift_m", [0.0, 300e-6, 0.0])
+    bench.ended("um away")
+
+
+@pytest.mark.parametrize("lit", [True, False])
+def test_the_laser_is_off_when_the_clock_is_set_back(
+    simulator_bench: Callable[..., Any], client: Any, lit: bool
+) -> None:
+    bench, clock = simulator_bench(on_time=True, use_sim_time=True), SimulatedClock(client)
+    scanned_ns = bench.staged()
+    clock.now_s += 10.0  # or the plan would be younger than its scan
+    client.wait_for(lambda: bench.node.get_clock().now().nanoseconds > scanned_ns + 9e9, TIMEOUT_S, "ten seconds")
+    assert bench.call("execute").success
+    if lit:
+        bench.laser_on.wait(TIMEOUT_S, lambda message: message.data)
+    clock.now_s -= 0.3
+    end, _ = bench.ended("clock that goes on, got one set back by 0.")
+    assert end["shots"] < 200
+
+
+def test_a_plan_of_no_scan_is_not_staged_at_a_time_of_zero(simulator_bench: Callable[..., Any], client: Any) -> None:
+    bench, clock = simulator_bench(on_time=True, use_sim_time=True), SimulatedClock(client)
+    clock.now_s = 1.0
+    bench.planner.plan(0, bench.line(5))
+    bench.until("plan refused: expected a scan before its plan, got none yet")
+    assert bench.enable().success
+    assert "scan before its plan" in bench.call("execute").message
+
+
+def test_a_fault_at_the_start_refuses_the_plan_and_the_node_lives_on(
+    simulator_bench: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*arguments: Any) -> None:
+        raise RuntimeError("a fault of ours")
+
+    bench = simulator_bench(on_time=True)
+    bench.staged()
+    with monkeypatch.context() as patched:
+        patched.setattr(Arm, "execute", broken)
+        assert bench.call("execute").message == "execute refused: RuntimeError: a fault of ours"
+    (end,) = bench.audit("end")
+    assert (end["outcome"], end["reason"], end["shots"]) == ("aborted", "RuntimeError: a fault of ours", 0)
+    assert "got none (the arm is idle)" in bench.call("execute").message
+    bench.executing()
 
 
 def test_an_execution_is_recorded_with_who_and_what(simulator_bench: Callable[..., Any], client: Any) -> None:

@@ -58,7 +58,10 @@ def test_a_plan_is_staged_on_receipt_and_runs_only_on_execute(simulator_bench: C
         ({"stamp_offset_ns": 1}, "another scan"),
         ({"frame": "oct_optical_frame"}, "'tool0'"),
         ({"away_m": 2.0}, "reach"),
-        ({"speed_m_s": 0.0}, "speeds above 0"),
+        ({"speed_m_s": 0.0}, "speeds of at least 1e-06 m/s, got 0"),
+        ({"speed_m_s": np.nan}, "got nan at waypoint 0"),
+        ({"speed_m_s": np.inf}, "got inf at waypoint 0"),
+        ({"away_m": np.nan}, "finite poses with unit quaternions"),
     ],
 )
 def test_a_plan_that_cannot_run_is_refused(

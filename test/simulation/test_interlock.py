@@ -33,7 +33,7 @@ def test_with_every_condition_held_the_laser_may_be_on():
         ({"tissue_moved_m": math.nan}, "nan um away"),
         ({"stalled_s": 0.6}, "every 0.5 s at least while the shutter is open, got none for 0.60 s"),
         ({"stalled_s": math.nan}, "none for nan s"),
-        ({"stalled_s": -0.1}, "none for -0.10 s"),
+        ({"stalled_s": -0.1}, "clock that goes on, got one set back by 0.10 s"),
     ],
 )
 def test_each_condition_alone_turns_it_off(changes, reason):

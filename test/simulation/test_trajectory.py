@@ -5,7 +5,7 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from octn_ros.errors import ConfigurationError
+from octn_ros.errors import ConfigurationError, ExecutionError
 from octn_ros.simulation import MotionLimits, Trajectory
 
 LIMITS = MotionLimits()
@@ -122,6 +122,22 @@ def test_poses_may_repeat():
     alone = Trajectory(posed((1, 2, 3))[None], np.zeros(0), HERE, LIMITS)
     assert alone.duration_s == 0.0
     np.testing.assert_array_equal(alone.focus_at(1.0)[:3, 3], (1, 2, 3))
+
+
+def test_a_motion_that_would_never_end_is_refused():
+    poses = np.array([posed((x, 0, 0)) for x in (0.0, 0.0, 0.1, 0.2, 0.3)])
+    speeds = np.array([0.1, 1e-12, 0.1, 0.1])
+    with pytest.raises(ExecutionError, match=r"finite time, got legs of 1e-09 to 0.1 m at 1e-12 to 0.1 m/s"):
+        Trajectory(poses, speeds, HERE, LIMITS)
+
+
+def test_legs_that_take_no_time_beside_all_before_are_passed():
+    poses = np.array([posed((x, 0, 0)) for x in (0.0, 0.1, 0.1, 0.1, 0.2)])
+    motion = trajectory(poses, speed=1e-6)
+    times = np.linspace(0.0, motion.duration_s, 1000)
+    focus = motion.focus_at(np.concatenate([times, motion.times_s]))
+    assert np.isfinite(focus).all()
+    np.testing.assert_allclose(focus[-1, :3, 3], (0.2, 0, 0), atol=1e-9)
 
 
 def test_limits_are_checked():

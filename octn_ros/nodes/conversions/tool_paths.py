@@ -56,7 +56,11 @@ def cloud_to_tool_path(message: PointCloud2) -> NDArray[np.void]:
     wanted = columns(TOOL_PATH)
     count = message.width * message.height
     if sent != wanted or message.point_step != TOOL_PATH.itemsize or message.is_bigendian:
-        raise ExecutionError(f"expected a tool path with the columns {sorted(wanted)}, got {sorted(sent)}")
+        order = "big-endian" if message.is_bigendian else "little-endian"
+        raise ExecutionError(
+            f"expected a tool path of little-endian rows of {TOOL_PATH.itemsize} bytes with the columns (offset, "
+            f"datatype) {wanted}, got {order} rows of {message.point_step} bytes with {sent}"
+        )
     if len(message.data) != count * TOOL_PATH.itemsize:
         raise ExecutionError(f"expected {count} waypoints of {TOOL_PATH.itemsize} bytes, got {len(message.data)} bytes")
     return np.frombuffer(bytes(message.data), TOOL_PATH)
