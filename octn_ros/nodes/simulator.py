@@ -154,6 +154,8 @@ class Simulator(Node):
             raise OctnError(f"a scan is running, {self._player.unsent} B-scans are still to come")
         if self._station.arm.state in ("executing", "returning"):
             raise OctnError(f"the arm is {self._station.arm.state}; wait, or abort it")
+        if self._now_ns() <= 0:
+            raise OctnError("the clock stands at 0; publish /clock, or set use_sim_time to false")
         if not self._player.heard:
             raise OctnError("nobody listens to bscan and bscan_pose; start the trainer")
 

@@ -42,6 +42,11 @@ def test_a_scan_that_nobody_would_hear_is_refused(spin: Callable[..., Any], clie
     assert "nobody listens" in answer.message
 
 
+def test_a_scan_at_no_time_is_refused(simulator_bench: Callable[..., Any]) -> None:
+    bench = simulator_bench(use_sim_time=True)
+    assert "the clock stands at 0" in bench.call("scan").message
+
+
 def test_a_recorded_volume_is_played_with_the_spacing_given(simulator_bench: Callable[..., Any], tmp_path: Any) -> None:
     volume = make_phantom(PhantomConfig(shape=SHAPE, surface="flat", seed=5)).volume
     save_volume(tmp_path / "scan.nii", volume)
