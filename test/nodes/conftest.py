@@ -147,6 +147,7 @@ class SimulatorBench:
             "phantom__surface": "flat",
             "time_factor": 100.0,
             "audit_path": str(self.audit_path),
+            "interlock__longest_stall_s": 3.0,  # beside other work on the machine
         }
         given |= (ON_TIME if on_time else {}) | parameters
         self.node = spin(Simulator, **given)

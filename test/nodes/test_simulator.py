@@ -112,6 +112,7 @@ def test_an_arm_that_does_not_get_home_in_time_is_not_scanned_from(simulator_ben
     bench.client.wait_for(lambda: bench.node._station.arm.progress[0] > 20, TIMEOUT_S, "arm away from home")
     bench.call("abort")
     before = len(bench.bscan.messages)
+    bench.set("time_factor", 0.05)
     assert "once the arm is back" in bench.call("scan").message
     bench.set("time_factor", 0.01)
     bench.until("not where scans are taken in time", "the scan is cancelled")

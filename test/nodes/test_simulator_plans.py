@@ -199,7 +199,7 @@ def test_the_laser_is_off_when_the_planner_names_another_plan(simulator_bench: C
 
 
 def test_a_planner_that_hangs_is_fired_for_no_longer_than_the_limit(simulator_bench: Callable[..., Any]) -> None:
-    bench = simulator_bench(on_time=True, interlock__planner_silence_s=SILENCE_S)
+    bench = simulator_bench(on_time=True, interlock__planner_silence_s=SILENCE_S, interlock__longest_stall_s=0.5)
     bench.staged()
     bench.planner.lives = False
     time.sleep(SILENCE_S + ON_THE_WAY_S)
@@ -217,7 +217,7 @@ def test_a_planner_that_hangs_is_fired_for_no_longer_than_the_limit(simulator_be
 
 
 def test_a_limit_below_that_of_a_sign_of_life_is_refused(simulator_bench: Callable[..., Any]) -> None:
-    bench = simulator_bench()
+    bench = simulator_bench(interlock__longest_stall_s=0.5)
     assert "planner_silence_s above 5.5 s" in bench.set("interlock.longest_stall_s", 4.5).reason
     assert "planner_silence_s above 1.5 s" in bench.set("interlock.planner_silence_s", 1.5).reason
     assert bench.set("interlock.planner_silence_s", 5.6).successful
