@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -59,8 +60,9 @@ def rows() -> dict[str, set[tuple[str, str, str]]]:
     return said
 
 
-def test_the_page_names_each_call_that_makes_a_topic_or_service(ros: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Held against the calls themselves, not against what the page is written from."""
+@pytest.fixture
+def made(ros: None, monkeypatch: pytest.MonkeyPatch) -> dict[str, set[tuple[str, str, str]]]:
+    """What each node that is made in the test makes: (role, name, type), by the calls themselves."""
     made: dict[str, set[tuple[str, str, str]]] = {}
 
     def note(method: str, title: str, resolve: str) -> None:
@@ -79,12 +81,31 @@ def test_the_page_names_each_call_that_makes_a_topic_or_service(ros: None, monke
     note("create_publisher", "Publishes", "resolve_topic_name")
     note("create_subscription", "Subscribes to", "resolve_topic_name")
     note("create_service", "Services", "resolve_service_name")
+    return made
+
+
+def test_the_page_names_each_call_that_makes_a_topic_or_service(made: dict[str, set[tuple[str, str, str]]]) -> None:
+    """Held against the calls themselves, not against what the page is written from."""
     for kind in NODES:
         kind().destroy_node()
     said = rows()
     assert said.keys() == made.keys() == {"trainer", "query", "planner", "simulator"}
     for node, entries in made.items():
         assert said[node] == entries, node
+
+
+@pytest.mark.parametrize(("file", "kind"), [("minimal_scanner", "MinimalScanner"), ("minimal_arm", "MinimalArm")])
+def test_a_scanner_and_an_arm_may_do_what_the_examples_do(
+    made: dict[str, set[tuple[str, str, str]]], file: str, kind: str
+) -> None:
+    runpy.run_path(str(REPOSITORY / "examples" / f"{file}.py"))[kind]().destroy_node()
+    ((node, entries),) = made.items()
+    for title, what, may in (
+        ("Publishes", "topic", "publish"),
+        ("Subscribes to", "topic", "subscribe"),
+        ("Services", "service", "reply"),
+    ):
+        assert {name for table, name, _ in entries if table == title} <= allowed(f"/octn/{node}", what, may)
 
 
 def test_a_topic_without_a_meaning_stops_the_page(found: list[list[interfaces.Interface]]) -> None:

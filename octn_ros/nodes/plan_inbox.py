@@ -73,14 +73,14 @@ class PlanInbox:
         self._waypoints: PoseArray | None = None
         self._tool_path: PointCloud2 | None = None
         self._path: LaserPath | None = None  # a whole plan until it is taken
-        self._said, self._node, self._lived_s = Voucher({}), "", -math.inf
+        self._said, self._lived_s = Voucher({}), -math.inf
 
     def _look(self) -> None:
         voucher = self.voucher()
         was, self._was_there = self._was_there, voucher.why_nobody is None
         several = max(voucher.publishers.values()) > 1
         if (was and not self._was_there) or several:
-            heard = self._node or self._waypoints is not None or self._tool_path is not None
+            heard = self._said.node or self._waypoints is not None or self._tool_path is not None
             self._forget()
             if heard and voucher.why_nobody is not None:
                 (self._refused if several else self._withdrawn)(voucher.why_nobody)
@@ -89,11 +89,13 @@ class PlanInbox:
         if not message.status:
             return
         _, _, values = status.read(message)
-        if values.get("node", "") != self._node:
-            self._node, self._lived_s = values.get("node", ""), -math.inf
+        node = values.get("node", "")
+        if node != self._said.node:
+            self._lived_s = -math.inf
         self._said = Voucher(
             {},
             planner=message.status[0].name.partition(":")[0],
+            node=node,
             scan=values.get("stamp_ns", ""),
             plan_hash=values.get("plan_hash", ""),
             field_hash=values.get("field_hash", ""),
@@ -101,7 +103,8 @@ class PlanInbox:
         self._offer()
 
     def _on_life(self, message: DiagnosticArray) -> None:
-        if self._node and any(told.name.partition(":")[0] == self._node for told in message.status):
+        node = self._said.node
+        if node and any(told.name.partition(":")[0] == node for told in message.status):
             self._lived_s = time.monotonic()
             self._offer()
 

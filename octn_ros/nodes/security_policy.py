@@ -14,7 +14,11 @@ NAMESPACE = "/octn"
 OPERATOR, VIEWER = "client", "viewer"  # who may ask and fire, and who may only look
 # A real scanner and a real arm in place of the simulator, as docs/connecting.md has them.
 SCANNER = {"publish": ("bscan", "bscan_pose"), "subscribe": (), "reply": ("scan",)}
-ARM = {"publish": ("ee_pose",), "subscribe": ("tool_path", "waypoints_base"), "reply": ("execute",)}
+ARM = {
+    "publish": ("ee_pose", "execution_status"),
+    "subscribe": ("/diagnostics", "plan_status", "scan_ee_pose", "tool_path", "waypoints", "waypoints_base"),
+    "reply": ("abort", "enable_laser", "execute"),
+}
 _HEAD = """\
 <?xml version="1.0" encoding="UTF-8"?>
 <!-- Who may do what in the graph, for `ros2 security` (docs/security.md): each node what its own code does, the

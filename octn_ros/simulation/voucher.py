@@ -16,7 +16,8 @@ class Voucher:
     Attributes:
         publishers: how many publish each of the topics that make a plan, by their names.
         silent_s: time since the planner's last sign of life, infinite before the first.
-        planner: its node, as its status names it.
+        planner: the planner, as its status names it.
+        node: full name of its node, whose signs of life count.
         scan: time of the scan that its plan was made on, nanoseconds as it wrote them.
         plan_hash: of its plan, empty if it has none.
         field_hash: of the field that its plan was made on.
@@ -25,6 +26,7 @@ class Voucher:
     publishers: Mapping[str, int]
     silent_s: float = math.inf
     planner: str = ""
+    node: str = ""
     scan: str = ""
     plan_hash: str = ""
     field_hash: str = ""
@@ -64,9 +66,10 @@ class Voucher:
             )
         # Never heard of is infinitely silent.
         if not self.silent_s <= longest_silence_s:
+            node = self.node or "not named in plan_status"
             silent = f"none for {self.silent_s:.1f} s" if math.isfinite(self.silent_s) else "none yet"
             return (
-                f"expected a sign of life of the planner on /diagnostics every {longest_silence_s:g} s, got {silent}; "
-                "see whether its process is stopped or stuck, and start it again"
+                f"expected a sign of life of the planner (node {node}) on /diagnostics every {longest_silence_s:g} s, "
+                f"got {silent}; see whether its process is stopped or stuck, and start it again"
             )
         return None

@@ -203,7 +203,7 @@ def test_a_planner_that_hangs_is_fired_for_no_longer_than_the_limit(simulator_be
     bench.staged()
     bench.planner.lives = False
     time.sleep(SILENCE_S + ON_THE_WAY_S)
-    refused(bench, f"on /diagnostics every {SILENCE_S} s, got none for")
+    refused(bench, f"(node /octn/client) on /diagnostics every {SILENCE_S} s, got none for")
     bench.planner.lives = True
     bench.client.wait_for(lambda: bench.node._plans.voucher().silent_s < 1.0, TIMEOUT_S, "a sign of life")
     answer = bench.call("execute")

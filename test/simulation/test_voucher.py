@@ -9,7 +9,7 @@ import pytest
 from octn_ros.simulation import LaserPath, Voucher
 
 ONE_EACH = {"waypoints": 1, "tool_path": 1, "plan_status": 1}
-VOUCHER = Voucher(ONE_EACH, 1.0, "planner", "7", "ab12" * 4, "cd34" * 4)
+VOUCHER = Voucher(ONE_EACH, 1.0, "planner", "/octn/planner", "7", "ab12" * 4, "cd34" * 4)
 PATH = LaserPath(np.eye(4)[None], np.zeros(1), np.ones(1), np.ones(1), 7, "tool0", "ab12" * 4)
 
 
@@ -30,7 +30,8 @@ def test_one_planner_that_lives_and_names_the_plan_stands_for_it():
         ({"scan": "8"}, "got ab12ab12ab12ab12, 8 and"),
         ({"scan": ""}, "got ab12ab12ab12ab12, none and"),
         ({"field_hash": ""}, "7 and none; plan again"),
-        ({"silent_s": 1.1}, "every 1 s, got none for 1.1 s"),
+        ({"silent_s": 1.1}, "(node /octn/planner) on /diagnostics every 1 s, got none for 1.1 s"),
+        ({"silent_s": 1.1, "node": ""}, "node not named in plan_status"),
         ({"silent_s": math.inf}, "got none yet"),
         ({"silent_s": math.nan}, "got none yet"),
     ],
