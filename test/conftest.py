@@ -94,7 +94,7 @@ class PlannerStandIn:
 
         from octn_ros.nodes import diagnostics, qos
 
-        self.node, self.lives = node, True
+        self.node, self.lives, self._stands = node, True, ""
         self.waypoints = node.create_publisher(PoseArray, "waypoints", qos.LATCHED)
         self.tool_path = node.create_publisher(PointCloud2, "tool_path", qos.LATCHED)
         self.status = node.create_publisher(DiagnosticArray, "plan_status", qos.LATCHED)
@@ -122,6 +122,7 @@ class PlannerStandIn:
         values = {"state": "planned", "stamp_ns": scan, "field_hash": "ab12" * 4, "plan_hash": plan_hash, **said}
         values["node"] = self.node.get_fully_qualified_name()
         pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+        self._stands = plan_hash
         self.status.publish(DiagnosticArray(status=[DiagnosticStatus(name="planner: plan_status", values=pairs)]))
 
     def leave(self) -> None:
@@ -131,11 +132,12 @@ class PlannerStandIn:
             self.node.destroy_publisher(publisher)
 
     def _live(self) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
         if self.lives:
+            stands = [KeyValue(key="plan_hash", value=self._stands)]
             name = f"{self.node.get_fully_qualified_name()}: state"
-            self._life.publish(DiagnosticArray(status=[DiagnosticStatus(name=name)]))
+            self._life.publish(DiagnosticArray(status=[DiagnosticStatus(name=name, values=stands)]))
 
 
 @pytest.fixture

@@ -73,12 +73,12 @@ class NodeDiagnostics:
     ) -> None:
         self._node, self._describe = node, describe
         self._name = f"{node.get_fully_qualified_name()}: state"
-        self._lock = threading.Lock()
+        self._lock, self._reporting = threading.Lock(), threading.Lock()
         self._services: dict[str, _Tally] = {}
         self._errors, self._last_error, self._last_error_ns = 0, "", 0
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.STREAM)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(period_s, self._report, callback_group=MutuallyExclusiveCallbackGroup(), clock=steady)
+        node.create_timer(period_s, self.report, callback_group=MutuallyExclusiveCallbackGroup(), clock=steady)
 
     @contextmanager
     def request(self, service: str) -> Iterator[ServiceRequest]:
@@ -112,16 +112,18 @@ class NodeDiagnostics:
         """Return how long ago a stamp was, by the node's clock: the age of a scan or of a field."""
         return (self._node.get_clock().now().nanoseconds - stamp_ns) * 1e-9
 
-    def _report(self) -> None:
+    def report(self) -> None:
+        """Publish the state now, besides the reports that come by themselves."""
         if not self._node.context.ok():
             return  # the graph is gone
-        try:
-            level, message, values = self._describe()
-            report = status.to_report(self._node, self._name, level, message, {**values, **self._figures()})
-        except Exception as error:  # a fault of ours must not end the reports, least of all silently
-            message = f"the state cannot be told: {type(error).__name__}: {error}"
-            report = status.to_report(self._node, self._name, status.ERROR, message, self._figures())
-        self._publisher.publish(report)
+        with self._reporting:  # or an older state could be published after a newer one
+            try:
+                level, message, values = self._describe()
+                report = status.to_report(self._node, self._name, level, message, {**values, **self._figures()})
+            except Exception as error:  # a fault of ours must not end the reports, least of all silently
+                message = f"the state cannot be told: {type(error).__name__}: {error}"
+                report = status.to_report(self._node, self._name, status.ERROR, message, self._figures())
+            self._publisher.publish(report)
 
     def _figures(self) -> dict[str, Any]:
         with self._lock:

@@ -25,8 +25,9 @@ LOOK_S = 0.1  # between two looks at who publishes
 class PlanInbox:
     """Subscribes to `waypoints`, `tool_path` and `plan_status`, and hands plans over once both halves are here.
 
-    What the planner stands for is told by its `plan_status`, and that it lives by its reports on `/diagnostics`. Of
-    several publishers nobody can tell which said what, so all of it is forgotten then.
+    What the planner stands for is told by its `plan_status`, and that it lives and still does by its reports on
+    `/diagnostics`, which name the plan too. Of several publishers nobody can tell which said what, so all of it is
+    forgotten then.
 
     Args:
         node: the node that listens.
@@ -89,24 +90,26 @@ class PlanInbox:
         if not message.status:
             return
         _, _, values = status.read(message)
-        node = values.get("node", "")
-        if node != self._said.node:
-            self._lived_s = -math.inf
-        self._said = Voucher(
+        said = Voucher(
             {},
             planner=message.status[0].name.partition(":")[0],
-            node=node,
+            node=values.get("node", ""),
             scan=values.get("stamp_ns", ""),
             plan_hash=values.get("plan_hash", ""),
             field_hash=values.get("field_hash", ""),
         )
+        if (said.node, said.plan_hash) != (self._said.node, self._said.plan_hash):
+            self._lived_s = -math.inf
+        self._said = said
         self._offer()
 
     def _on_life(self, message: DiagnosticArray) -> None:
-        node = self._said.node
-        if node and any(told.name.partition(":")[0] == node for told in message.status):
-            self._lived_s = time.monotonic()
-            self._offer()
+        said = self._said
+        for told in message.status:
+            if said.node and told.name.partition(":")[0] == said.node:
+                named = {pair.key: pair.value for pair in told.values}.get("plan_hash", "")
+                self._lived_s = time.monotonic() if named == said.plan_hash else -math.inf
+                self._offer()
 
     def _on_waypoints(self, message: PoseArray) -> None:
         self._waypoints = message

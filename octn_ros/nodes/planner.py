@@ -222,6 +222,7 @@ class Planner(Node):
         self._publisher.publish(received, plan, ee2base)
         text = f"{len(plan.segment)} waypoints in {plan.seconds['total']:.2f} s, hit rate {plan.hit_rate:.1%}"
         self._status.report(status.OK, text, {**_figures(plan), **self._told(received)})
+        self._diagnostics.report()  # a sign of life that names the plan, without which no arm takes it
         respond(plan)
         self._view.show(received, plan, ee2base)  # last: it takes the processor from whatever is still to be done
         return text

@@ -15,7 +15,7 @@ class Voucher:
 
     Attributes:
         publishers: how many publish each of the topics that make a plan, by their names.
-        silent_s: time since the planner's last sign of life, infinite before the first.
+        silent_s: time since the planner's last sign of life that named its plan, infinite before the first.
         planner: the planner, as its status names it.
         node: full name of its node, whose signs of life count.
         scan: time of the scan that its plan was made on, nanoseconds as it wrote them.
@@ -69,7 +69,7 @@ class Voucher:
             node = self.node or "not named in plan_status"
             silent = f"none for {self.silent_s:.1f} s" if math.isfinite(self.silent_s) else "none yet"
             return (
-                f"expected a sign of life of the planner (node {node}) on /diagnostics every {longest_silence_s:g} s, "
-                f"got {silent}; see whether its process is stopped or stuck, and start it again"
+                f"expected a sign of life of the planner (node {node}) on /diagnostics with this plan_hash "
+                f"every {longest_silence_s:g} s, got {silent}; is its process stopped or stuck? restart it"
             )
         return None

@@ -152,6 +152,28 @@ def test_replan_takes_everything_from_the_parameters(spin: Callable[..., Any], c
     assert np.isnan(rows["residual"][rows["laser_on"] == 0]).all()
 
 
+def test_each_report_names_the_plan_that_stands(spin: Callable[..., Any], client: Any, flat_field: bytes) -> None:
+    bench = Bench(spin, client, **LEADING)
+    tool_path = client.watch(PointCloud2, "tool_path")
+    health = client.watch(DiagnosticArray, "/diagnostics", qos.STREAM)
+    health.wait_matched(TIMEOUT_S)
+    bench.field.publish(conversions.to_field_message(flat_field, STAMP_NS, OCT))
+    assert bench.until("ready to plan")["plan_hash"] == ""
+    assert client.call(Trigger, "replan", Trigger.Request(), TIMEOUT_S).success
+    named = conversions.plan_hash(tool_path.wait(TIMEOUT_S, lambda message: message.width > 0))
+    expected = {"plan_hash": named, "node": "/octn/planner", "stamp_ns": str(STAMP_NS)}.items()
+    assert expected <= bench.until("hit rate").items()
+    # At once, not only within the second from one report to the next.
+    alive = health.wait(0.5, lambda message: status.read(message)[2].get("plan_hash") == named)
+    assert alive.status[0].name == "/octn/planner: state"
+    assert not bench.ask("plan_raster", frame="map").poses
+    assert expected <= bench.until("plan_raster refused").items()
+    bench.field.publish(conversions.to_field_message(flat_field[:-10], STAMP_NS, OCT))
+    assert expected <= bench.until("field refused").items()
+    bench.field.publish(conversions.to_field_message(flat_field[:-10], STAMP_NS + 1, OCT))
+    assert bench.until("field refused", "withdrawn")["plan_hash"] == ""
+
+
 def test_the_first_field_withdraws_whatever_a_planner_before_this_one_may_have_planned(
     spin: Callable[..., Any], client: Any, flat_field: bytes
 ) -> None:

@@ -30,7 +30,10 @@ def test_one_planner_that_lives_and_names_the_plan_stands_for_it():
         ({"scan": "8"}, "got ab12ab12ab12ab12, 8 and"),
         ({"scan": ""}, "got ab12ab12ab12ab12, none and"),
         ({"field_hash": ""}, "7 and none; plan again"),
-        ({"silent_s": 1.1}, "(node /octn/planner) on /diagnostics every 1 s, got none for 1.1 s"),
+        (
+            {"silent_s": 1.1},
+            "(node /octn/planner) on /diagnostics with this plan_hash every 1 s, got none for 1.1 s",
+        ),
         ({"silent_s": 1.1, "node": ""}, "node not named in plan_status"),
         ({"silent_s": math.inf}, "got none yet"),
         ({"silent_s": math.nan}, "got none yet"),
