@@ -50,6 +50,10 @@ def test_an_abort_ends_the_execution_and_the_plan(simulator_bench: Callable[...,
     again = bench.call("execute")
     assert not again.success
     assert "an abort was asked for" in again.message
+    told = len(bench.status.messages)
+    bench.planner.plan(bench.scan(), bench.line(5))
+    bench.until("staged", after=told)
+    assert "enable_laser first" in bench.call("execute").message, "what was enabled before the abort is not any more"
 
 
 def test_the_laser_is_off_within_a_control_period_of_an_abort(simulator_bench: Callable[..., Any], client: Any) -> None:
@@ -124,7 +128,10 @@ def test_the_laser_is_off_when_it_is_disabled_or_the_plan_withdrawn(
         bench.ended("disabled")
     else:
         bench.planner.plan(stamp_ns, bench.line(0 if how == "withdraw" else 5))
-        bench.ended("withdrawn" if how == "withdraw" else "replaced")
+        end, _ = bench.ended()
+        # Whichever is heard first: what is published, or the plan_status that names it.
+        named = "withdrawn" if how == "withdraw" else "replaced"
+        assert named in end["reason"] or "expected a plan_status with plan_hash" in end["reason"]
 
 
 class SimulatedClock:
