@@ -19,7 +19,7 @@ from octn_ros.nodes import conversions, qos, status
 
 TIMEOUT_S = 30.0
 SILENCE_S, PERIOD_S = 1.6, 0.008
-ON_THE_WAY_S = 0.3  # of a message through the graph, beside other work on the machine
+ON_THE_WAY_S = 0.5  # of a message through the graph, beside other work on the machine
 TOPICS = {"waypoints": PoseArray, "tool_path": PointCloud2, "plan_status": DiagnosticArray}
 
 
@@ -211,9 +211,9 @@ def test_a_planner_that_hangs_is_fired_for_no_longer_than_the_limit(simulator_be
     assert answer.success, answer.message
     bench.laser_on.wait(TIMEOUT_S, lambda message: message.data)
     bench.planner.lives, asked_ns = False, bench.client.node.get_clock().now().nanoseconds
-    end, shots = bench.ended("got none for 1.6 s")
+    end, shots = bench.ended("sign of life", "got none for")
     silent_s = (end["time_ns"] - asked_ns) * 1e-9
-    assert SILENCE_S - 0.1 < silent_s < SILENCE_S + PERIOD_S + ON_THE_WAY_S
+    assert SILENCE_S - ON_THE_WAY_S < silent_s < SILENCE_S + PERIOD_S + ON_THE_WAY_S
     assert shots[-1]["time_ns"] <= end["time_ns"]
 
 
