@@ -65,7 +65,10 @@ class PlanInbox:
         A planner that is killed leaves the graph when its connection breaks: at once on one machine under the embedded
         runtime, after the lease of the participant (some seconds) under DDS. One that hangs stays in it, silent.
         """
-        return dataclasses.replace(self._said, publishers=self._publishers(), silent_s=time.monotonic() - self._lived_s)
+        lived_s, lives_for = self._lived
+        return dataclasses.replace(
+            self._said, publishers=self._publishers(), silent_s=time.monotonic() - lived_s, lives_for=lives_for
+        )
 
     def _publishers(self) -> dict[str, int]:
         return {topic: source.get_publisher_count() for topic, source in self._sources.items()}
@@ -74,7 +77,8 @@ class PlanInbox:
         self._waypoints: PoseArray | None = None
         self._tool_path: PointCloud2 | None = None
         self._path: LaserPath | None = None  # a whole plan until it is taken
-        self._said, self._lived_s = Voucher({}), -math.inf
+        self._said = Voucher({})
+        self._lived = -math.inf, ""  # when the planner gave a sign of life, and the plan that it named
 
     def _look(self) -> None:
         voucher = self.voucher()
@@ -98,17 +102,16 @@ class PlanInbox:
             plan_hash=values.get("plan_hash", ""),
             field_hash=values.get("field_hash", ""),
         )
-        if (said.node, said.plan_hash) != (self._said.node, self._said.plan_hash):
-            self._lived_s = -math.inf
+        if said.node != self._said.node:
+            self._lived = -math.inf, ""
         self._said = said
         self._offer()
 
     def _on_life(self, message: DiagnosticArray) -> None:
-        said = self._said
         for told in message.status:
-            if said.node and told.name.partition(":")[0] == said.node:
+            if self._said.node and told.name.partition(":")[0] == self._said.node:
                 named = {pair.key: pair.value for pair in told.values}.get("plan_hash", "")
-                self._lived_s = time.monotonic() if named == said.plan_hash else -math.inf
+                self._lived = time.monotonic(), named
                 self._offer()
 
     def _on_waypoints(self, message: PoseArray) -> None:

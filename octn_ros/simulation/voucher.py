@@ -15,7 +15,8 @@ class Voucher:
 
     Attributes:
         publishers: how many publish each of the topics that make a plan, by their names.
-        silent_s: time since the planner's last sign of life that named its plan, infinite before the first.
+        silent_s: time since the planner's last sign of life, infinite before the first.
+        lives_for: the plan that this sign named, by hash.
         planner: the planner, as its status names it.
         node: full name of its node, whose signs of life count.
         scan: time of the scan that its plan was made on, nanoseconds as it wrote them.
@@ -25,6 +26,7 @@ class Voucher:
 
     publishers: Mapping[str, int]
     silent_s: float = math.inf
+    lives_for: str = ""
     planner: str = ""
     node: str = ""
     scan: str = ""
@@ -66,10 +68,13 @@ class Voucher:
             )
         # Never heard of is infinitely silent.
         if not self.silent_s <= longest_silence_s:
-            node = self.node or "not named in plan_status"
-            silent = f"none for {self.silent_s:.1f} s" if math.isfinite(self.silent_s) else "none yet"
-            return (
-                f"expected a sign of life of the planner (node {node}) on /diagnostics with this plan_hash "
-                f"every {longest_silence_s:g} s, got {silent}; is its process stopped or stuck? restart it"
-            )
-        return None
+            got = f"none for {self.silent_s:.1f} s" if math.isfinite(self.silent_s) else "none yet"
+        elif self.lives_for != path.hash:
+            got = f"one with {self.lives_for or 'none'}"
+        else:
+            return None
+        node = self.node or "not named in plan_status"
+        return (
+            f"expected a sign of life of the planner (node {node}) on /diagnostics with plan_hash {path.hash} every "
+            f"{longest_silence_s:g} s, got {got}; is its process stopped or stuck? restart it"
+        )

@@ -29,7 +29,7 @@ PERIOD_S = 0.008
 CONFIG = PhantomConfig(shape=(40, 64, 80), surface="flat", surface_depth_m=3e-4)
 LASER = LaserConfig()
 OPERATOR = "A. Surgeon"
-VOUCHER = Voucher({"waypoints": 1}, 0.5, "planner", "/octn/planner", str(NOW_NS), "1" * 16, "f" * 16)
+VOUCHER = Voucher({"waypoints": 1}, 0.5, "1" * 16, "planner", "/octn/planner", str(NOW_NS), "1" * 16, "f" * 16)
 NOBODY = Voucher({"waypoints": 0})
 INTERLOCK = InterlockConfig()
 HOME = np.array([[1.0, 0, 0, 0.4], [0, -1, 0, 0.1], [0, 0, -1, 0.3], [0, 0, 0, 1]])

@@ -9,7 +9,7 @@ import pytest
 from octn_ros.simulation import LaserPath, Voucher
 
 ONE_EACH = {"waypoints": 1, "tool_path": 1, "plan_status": 1}
-VOUCHER = Voucher(ONE_EACH, 1.0, "planner", "/octn/planner", "7", "ab12" * 4, "cd34" * 4)
+VOUCHER = Voucher(ONE_EACH, 1.0, "ab12" * 4, "planner", "/octn/planner", "7", "ab12" * 4, "cd34" * 4)
 PATH = LaserPath(np.eye(4)[None], np.zeros(1), np.ones(1), np.ones(1), 7, "tool0", "ab12" * 4)
 
 
@@ -32,9 +32,11 @@ def test_one_planner_that_lives_and_names_the_plan_stands_for_it():
         ({"field_hash": ""}, "7 and none; plan again"),
         (
             {"silent_s": 1.1},
-            "(node /octn/planner) on /diagnostics with this plan_hash every 1 s, got none for 1.1 s",
+            "(node /octn/planner) on /diagnostics with plan_hash ab12ab12ab12ab12 every 1 s, got none for 1.1",
         ),
         ({"silent_s": 1.1, "node": ""}, "node not named in plan_status"),
+        ({"lives_for": "ab13" * 4}, "every 1 s, got one with ab13ab13ab13ab13;"),
+        ({"lives_for": ""}, "every 1 s, got one with none;"),
         ({"silent_s": math.inf}, "got none yet"),
         ({"silent_s": math.nan}, "got none yet"),
     ],
