@@ -45,14 +45,18 @@ def dumps_field(field: Field, *, half: bool = False) -> bytes:
     raise CheckpointError(f"expected a neural or an interpolated field to store, got {type(field).__name__}")
 
 
-def volume_parts(volume: Volume) -> tuple[bytes, memoryview]:
+def volume_parts(volume: Volume, head_bytes: int = 0) -> tuple[bytes, memoryview]:
     """Return what `dumps_field` gives for the trilinear field through a volume, in two parts, and copy nothing.
 
     The field itself would keep the voxels as float32, and one piece of bytes would be a copy: of a large C-scan there
     is not always room for either. The second part shares the volume's memory.
+
+    Args:
+        volume: the voxels.
+        head_bytes: a multiple of 8; the first part is filled with blanks to that length, where it is shorter.
     """
     description = FieldDescription.of_volume(volume, "interpolated")
-    return _voxel_parts(volume, dataclasses.replace(description, order="trilinear"))
+    return _voxel_parts(volume, dataclasses.replace(description, order="trilinear"), head_bytes)
 
 
 def loads_field(data: bytes, device: str | torch.device = "cpu") -> NeuralField | InterpolatedField:
@@ -114,13 +118,14 @@ def field_hash(*parts: bytes | memoryview) -> str:
     return digest.hexdigest()[:16]
 
 
-def _voxel_parts(volume: Volume, description: FieldDescription) -> tuple[bytes, memoryview]:
+def _voxel_parts(volume: Volume, description: FieldDescription, head_bytes: int = 0) -> tuple[bytes, memoryview]:
     """Return header and content as safetensors has them; the library itself would make two copies of the voxels."""
     array = volume.array
     voxels = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
     kind = f"{'F' if array.dtype.kind == 'f' else 'U'}{8 * array.itemsize}"
     content = {"dtype": kind, "shape": list(array.shape), "data_offsets": [0, array.nbytes]}
     text = json.dumps({"__metadata__": write_header(description, None), "voxels": content}, separators=(",", ":"))
+    text = text.ljust(head_bytes - 8)
     text += " " * (-len(text) % 8)
     return len(text).to_bytes(8, "little") + text.encode(), voxels.reshape(-1).view(np.uint8).data
 

@@ -126,7 +126,9 @@ class BScanStream:
         described = config.bscan_count, config.spacing_m, config.scale
         if self._assembler is None or described != self._assembled_with:
             given_up = self._assembler.give_up() if self._assembler else None
-            self._assembler = CScanAssembler(*described, largest_voxels=config.largest_scan_voxels)
+            self._assembler = CScanAssembler(
+                *described, largest_voxels=config.largest_scan_voxels, room=conversions.voxel_room
+            )
             self._assembled_with = described
             if given_up:
                 self._drop(f"C-scan dropped: the parameters that describe it have changed; {given_up}")

@@ -12,6 +12,7 @@ from octn_ros.errors import CheckpointError
 from octn_ros.field import NeuralField, dumps_field, field_hash
 from octn_ros.nodes import status
 from octn_ros.nodes.field_store import KeptField
+from octn_ros.nodes.freed_memory import give_back_freed_memory
 from octn_ros.nodes.present_scan import NewScan, PresentScan
 from octn_ros.nodes.worker import Worker
 from octn_ros.training import FitConfig, FitProgress, FitResult, fit
@@ -110,10 +111,11 @@ class FieldFitter:
         except Exception as error:  # whatever goes wrong in a fit, out of memory included, the node lives on
             self._failed(f"fit failed: {error}")
             self._progress.report(status.ERROR, f"fit failed: {error}", {"state": "failed", **of_scan})
+        give_back_freed_memory()  # a fit needs several times what its field is
 
     def show(self, scan: NewScan) -> None:
         """Publish what is known of a C-scan at once, unless that has been done, and say so."""
-        if scan.field is None:
+        if scan.shown:
             return
         self._present.show(scan)
         values = {"stamp_ns": scan.volume.stamp_ns, "field_kind": "interpolated", "field_hash": scan.hash}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
-from octn_ros.field import FieldDescription, field_hash, volume_parts
+from octn_ros.field import FieldDescription, field_hash
 from octn_ros.nodes import conversions, qos
 from octn_ros.nodes.field_store import FieldStore, KeptField
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
@@ -30,28 +30,24 @@ class NewScan:
         volume: the C-scan.
         view: its en-face view [bscan, lateral].
         grid: the view as a message.
-        hash: identity of the field through its voxels.
-        field: the encoded message of that field; None once it is published, for it is as large as the C-scan.
+        field: the message of the field through its voxels, which lie in the message's own memory.
+        hash: identity of that field.
+        shown: whether all this has been published.
     """
 
     volume: Volume
     view: NDArray[np.float32]
     grid: OccupancyGrid
+    field: CompressedImage
     hash: str
-    field: bytes | None
+    shown: bool = False
 
     @classmethod
     def of(cls, volume: Volume) -> NewScan:
         """Make ready what is published of a C-scan."""
         view = enface(volume)
-        parts = volume_parts(volume)
-        return cls(
-            volume,
-            view,
-            conversions.to_grid(view, volume.geometry, volume.stamp_ns),
-            field_hash(*parts),
-            conversions.encode_field(parts, volume.stamp_ns, volume.geometry.frame),
-        )
+        volume, field, identity = conversions.with_field_message(volume)
+        return cls(volume, view, conversions.to_grid(view, volume.geometry, volume.stamp_ns), field, identity)
 
 
 @dataclass(frozen=True)
@@ -106,12 +102,12 @@ class PresentScan:
     def show(self, scan: NewScan) -> None:
         """Make a C-scan the present one and publish what is known of it at once, unless that has been done."""
         with self._lock:
-            field, scan.field = scan.field, None
-            if field is None:
+            if scan.shown:
                 return
+            scan.shown = True
             self._scan, self._stamp_ns, self._pose, self._kept = scan, scan.volume.stamp_ns, None, None
             self._enface.publish(scan.grid)
-            self._publish(field, KnownField(scan.volume.stamp_ns, "interpolated", scan.hash))
+            self._publish(scan.field, KnownField(scan.volume.stamp_ns, "interpolated", scan.hash))
 
     def show_fitted(self, scan: NewScan, data: bytes) -> bool:
         """Publish the field fitted to a C-scan and keep it on disk; False if the C-scan is no longer the present one.
@@ -160,7 +156,7 @@ class PresentScan:
             if self._kept is kept:
                 self._store.keep(kept)
 
-    def _publish(self, message: bytes, known: KnownField) -> None:
+    def _publish(self, message: CompressedImage | bytes, known: KnownField) -> None:
         # The pose goes first, so that whoever gets the field can place it.
         self._place(self._poses.nearest(known.stamp_ns, self._largest_gap_s()))
         self._publish_pose()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 import numpy as np
@@ -32,6 +33,7 @@ class CScanAssembler:
         spacing_m: metres between voxel centres along (bscan, axial, lateral). bscan None: the poses tell it.
         intensity_scale: what the voxel values mean, written into the Volume.
         largest_voxels: C-scans of more voxels are refused at their first B-scan; None for any.
+        room: gives memory for the voxels of a shape and type, where whoever will use them wants them to lie.
 
     Raises:
         VolumeError: the count is below 2, or a spacing is not positive.
@@ -44,6 +46,7 @@ class CScanAssembler:
         intensity_scale: IntensityScale = "unknown",
         *,
         largest_voxels: int | None = None,
+        room: Callable[[tuple[int, int, int], np.dtype[Any]], NDArray[Any]] = np.empty,
     ) -> None:
         along, axial, lateral = spacing_m
         VolumeGeometry((bscan_count, 2, 2), (1.0 if along is None else along, axial, lateral))
@@ -51,6 +54,7 @@ class CScanAssembler:
         self._in_plane_m = axial, lateral
         self._scale = intensity_scale
         self._largest = largest_voxels
+        self._room = room
         self._places = BScanPlaces(bscan_count, spacing_m)
         self._voxels: NDArray[Any] | None = None
         self._received = 0
@@ -130,13 +134,13 @@ class CScanAssembler:
                 "B-scan 0: expected an image [axial, lateral] of at least 2 x 2 uint8, uint16 or float32, "
                 f"got {image.shape} of {image.dtype}"
             )
-        shape = self._count, *image.shape
+        shape = (self._count, image.shape[0], image.shape[1])
         if self._largest is not None and math.prod(shape) > self._largest:
             self._drop(
                 f"B-scan 0: expected C-scans of at most {self._largest:,} voxels, got the first of "
                 f"{' x '.join(map(str, shape))} = {math.prod(shape):,}; raise the limit if there is memory for them"
             )
-        self._voxels = np.empty(shape, dtype=image.dtype)
+        self._voxels = self._room(shape, image.dtype)
         self._voxels[0] = image
         self._received, self._form = 1, form
         self._places.take(pose)

@@ -150,3 +150,15 @@ def test_unknown_names_are_missing():
         import std_msgs.msg._nothing
     with pytest.raises(ImportError):
         import std_msgs.action  # noqa: F401
+
+
+def test_a_message_asked_to_check_its_fields_keeps_an_array_that_is_assigned():
+    from sensor_msgs.msg import CompressedImage
+
+    data = array("B", b"abc")
+    message = CompressedImage(format="png", check_fields=True)
+    message.data = data
+    assert message.data is data
+    assert message == CompressedImage(format="png", data=data)
+    with pytest.raises(AssertionError, match="Invalid arguments"):
+        CompressedImage(check_fields=True, nonsense=1)

@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Image
 
-from octn_ros import embedded
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.simulation import Scanner
 from octn_ros.volume import Volume
@@ -23,8 +22,7 @@ START_S, FIT_S = 60.0, 60.0
 COUNT = 256
 LARGE, TINY = (COUNT, 512, 512), (COUNT, 16, 16)
 SPACING_M = (10e-6, 4e-6, 10e-6)
-# rclpy itself copies the bytes that it publishes, before DDS makes a copy of them to keep.
-MOST_COPIES = 4.0 if embedded.install() else 4.3
+MOST_COPIES = 4.0
 MOST_SECONDS = 3.0  # beyond the transport
 LISTENER = Path(__file__).with_name("listener.py")
 # Tables that are small beside the C-scan: what a fit needs depends on its preset, and is not looked at here.

@@ -17,8 +17,8 @@ from nav_msgs.srv import LoadMap
 from PIL import Image as PngImage
 from sensor_msgs.msg import CompressedImage
 
-from octn_ros.field import field_hash, loads_field, volume_parts
-from octn_ros.nodes import conversions, field_fitter, present_scan, status
+from octn_ros.field import field_hash, loads_field
+from octn_ros.nodes import conversions, field_fitter, status
 from octn_ros.planning import from_translation_quaternion
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.volume import Volume, save_volume
@@ -157,7 +157,7 @@ def test_what_goes_wrong_with_a_scan_is_said_and_the_node_lives_on(
         raise RuntimeError("CUDA out of memory")
 
     with monkeypatch.context() as patched:
-        patched.setattr(present_scan, "volume_parts", out_of_memory)
+        patched.setattr(conversions, "with_field_message", out_of_memory)
         bench.scan(volume, 1_000_000_000)
         bench.until("C-scan dropped: RuntimeError: CUDA out of memory")
         answer = bench.load(str(tmp_path / "scan.nii"))
@@ -188,9 +188,9 @@ def test_the_last_scan_to_come_is_the_last_to_be_published(
             started.set()
             assembled.wait(TIMEOUT_S)
             time.sleep(0.1)  # what the other one would need to overtake
-        return volume_parts(volume)
+        return with_field_message(volume)
 
-    add = CScanAssembler.add
+    with_field_message, add = conversions.with_field_message, CScanAssembler.add
 
     def adding(assembler: CScanAssembler, *bscan: Any) -> Volume | None:
         volume = add(assembler, *bscan)
@@ -198,7 +198,7 @@ def test_the_last_scan_to_come_is_the_last_to_be_published(
             assembled.set()
         return volume
 
-    monkeypatch.setattr(present_scan, "volume_parts", slow)
+    monkeypatch.setattr(conversions, "with_field_message", slow)
     monkeypatch.setattr(CScanAssembler, "add", adding)
     with ThreadPoolExecutor() as pool:
         loading = pool.submit(bench.load, str(path))

@@ -75,6 +75,21 @@ def test_images_are_copied(assembler, bscans, volume):
     np.testing.assert_array_equal(result.array, volume.array)
 
 
+def test_the_voxels_lie_where_whoever_uses_them_wants_them(bscans, volume):
+    rooms = []
+
+    def room(shape, dtype):
+        rooms.append(np.empty(shape, dtype))
+        return rooms[-1]
+
+    assembler = CScanAssembler(COUNT, volume.geometry.spacing_m, room=room)
+    for _ in range(2):
+        assembled = [assembler.add(b.image, b.image2oct, b.stamp_ns) for b in bscans][-1]
+        assert np.shares_memory(assembled.array, rooms[-1])
+        np.testing.assert_array_equal(assembled.array, volume.array)
+    assert len(rooms) == 2
+
+
 def test_one_assembler_serves_scan_after_scan(assembler, bscans, volume):
     results = [result for result in feed(assembler, bscans * 3) if result is not None]
     assert len(results) == 3

@@ -7,7 +7,7 @@ from octn_ros.field import FORMAT
 from octn_ros.nodes.conversions.buffers import shortest_decimal, to_bytes_field
 from octn_ros.nodes.conversions.clouds import cloud_to_points, table, to_cloud
 from octn_ros.nodes.conversions.encoded_poses import encode_path, encode_pose_array
-from octn_ros.nodes.conversions.fields import encode_field, field_data, to_field_message
+from octn_ros.nodes.conversions.fields import encode_field, field_data, to_field_message, voxel_room, with_field_message
 from octn_ros.nodes.conversions.grids import LARGEST_GRID, GridView, grid_to_view, picture_to_grid, to_grid
 from octn_ros.nodes.conversions.headers import header, stamp_to_ns
 from octn_ros.nodes.conversions.images import image_to_array, to_colour_image, to_image
@@ -56,4 +56,6 @@ __all__ = [
     "to_pose_array",
     "tool_path",
     "tool_path_poses",
+    "voxel_room",
+    "with_field_message",
 ]
