@@ -201,8 +201,7 @@ def _deal(rows: NDArray[np.int64], lanes: int, order: NDArray[np.int32], first: 
 def sum_lane(
     lane: int,
     touched: Touched,
-    seen: NDArray[np.int32],
-    step: int,
+    place_of: NDArray[np.int32],
     gradient: NDArray[np.float32],
     distinct: NDArray[np.int64],
 ) -> int:
@@ -210,9 +209,8 @@ def sum_lane(
 
     Args:
         touched: what the bricks have touched.
-        seen: for each row the step that touched it last, and its place in that step's sums [rows, 2]; brought up to
-            date.
-        step: number of this step.
+        place_of: for each row its place in the sums of the step that touched it last [rows]; brought up to date. It
+            holds for this step where `distinct` has the row at that place, so nothing is cleared between steps.
         gradient: written: the sums of this lane's rows [rows of the lane, features].
         distinct: written: this lane's rows.
 
@@ -225,15 +223,16 @@ def sum_lane(
         for sorted_place in range(touched.first[brick, lane], touched.first[brick, lane + 1]):
             place = touched.order[brick, sorted_place]
             row = touched.rows[brick, place]
-            if seen[row, 0] != step:
-                seen[row, 0], seen[row, 1] = step, count
+            known = place_of[row]
+            if known >= count or distinct[known] != row:
+                place_of[row] = count
                 distinct[count] = row
                 for f in range(features):
                     gradient[count, f] = touched.gradients[brick, place, f]
                 count += 1
             else:
                 for f in range(features):
-                    gradient[seen[row, 1], f] += touched.gradients[brick, place, f]
+                    gradient[known, f] += touched.gradients[brick, place, f]
     return count
 
 

@@ -92,7 +92,7 @@ class BrickTrainer:
         self._distinct = np.empty(self._bricks * most, np.int64)
         self._gradient = np.empty((self._bricks * most, table.shape[1]), np.float32)
         self._moments = np.zeros((len(table), 2 * table.shape[1]), np.float32)
-        self._seen = np.zeros((len(table), 2), np.int32)
+        self._place_of = np.zeros(len(table), np.int32)
         self._parameters = [
             p.detach().numpy() for layer in model.network.linear_layers for p in (layer.weight, layer.bias)
         ]
@@ -169,7 +169,7 @@ class BrickTrainer:
         def lane(number: int) -> None:
             part = slice(ends[number - 1] if number else 0, ends[number])
             rows, gradient = self._distinct[part], self._gradient[part]
-            count = sum_lane(number, self._touched, self._seen, self._step, gradient, rows)
+            count = sum_lane(number, self._touched, self._place_of, gradient, rows)
             adam_rows(
                 rows[:count], self._encoding.table, gradient, self._moments, factor, rate,
                 beta1, beta2, correction1, correction2, np.float32(_EPSILON),
