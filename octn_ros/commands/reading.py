@@ -11,7 +11,7 @@ from octn_ros.commands import arguments as common
 from octn_ros.commands.terminal import CommandError
 
 if TYPE_CHECKING:
-    from octn_ros.volume import IntensityScale, Normalisation, Volume
+    from octn_ros.volume import IntensityScale, Normalisation, ScanDescription, Volume
 
 AXES = ("bscan", "axial", "lateral")
 FILE_HELP = "C-scan: NIfTI, .npy, .npz, TIFF, a folder of numbered images, MATLAB, HDF5, DICOM or a vendor's file"
@@ -56,6 +56,25 @@ class Reading:
             scan_signs=self.scan_signs,
             intensity_scale=self.scale,
             normalisation=self._normalisation(),
+            variable=self.variable,
+            max_bytes=self.max_bytes,
+        )
+
+    def describe(self) -> ScanDescription:
+        """Tell what the file's header says, without its voxels.
+
+        Raises:
+            OctnError: the file or an argument cannot be used.
+        """
+        from octn_ros.volume import describe_scan
+
+        if self.normalise is not None:
+            raise CommandError("--normalise: the range is that of the voxels, which --header does not read")
+        return describe_scan(
+            self.file,
+            self.spacing_um,
+            axes=self.axes,
+            intensity_scale=self.scale,
             variable=self.variable,
             max_bytes=self.max_bytes,
         )

@@ -12,7 +12,7 @@ from octn_ros.embedded.arguments import Arguments, load
 from octn_ros.errors import ConfigurationError
 from octn_ros.nodes.simulator_config import SimulatorConfig
 from octn_ros.simulation import PhantomConfig
-from octn_ros.volume import VolumeGeometry, load_volume
+from octn_ros.volume import VolumeGeometry, describe_scan
 
 
 def read_parameters(path: str | Path, node: str) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def simulated_scan(parameters: Mapping[str, Any], volume: str, spacing_um: tuple
     played = volume or parameters.get("volume_file", simulator.volume_file)
     if played:
         given_um = spacing_um or tuple(parameters.get("spacing_um", simulator.spacing_um))
-        geometry = load_volume(played, (given_um[0], given_um[1], given_um[2]) if all(given_um) else None).geometry
+        geometry = describe_scan(played, (given_um[0], given_um[1], given_um[2]) if all(given_um) else None).geometry
         shape, spacing_m = geometry.shape, geometry.spacing_m
     else:
         shape = tuple(parameters.get("phantom.shape", phantom.shape))

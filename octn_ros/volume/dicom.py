@@ -15,6 +15,8 @@ from pydicom.uid import DeflatedExplicitVRLittleEndian
 from octn_ros.errors import VolumeError
 from octn_ros.volume.scan_header import RawScan, ReadRequest, ScanHeader
 
+_LARGEST_READ_AT_ONCE = 2**16  # bytes of an element; larger ones, the voxels above all, are read when asked for
+_UNDEFINED_LENGTH = 0xFFFFFFFF  # of voxels in compressed pieces
 _EVEN = 1e-3  # frames whose distances differ by more than this share of them are not evenly spaced
 
 
@@ -34,18 +36,20 @@ def read_dicom(path: Path, request: ReadRequest) -> RawScan:
     syntax = meta.get("TransferSyntaxUID")
     if syntax == DeflatedExplicitVRLittleEndian:
         raise VolumeError("expected a transfer syntax without deflation, got Deflated Explicit VR; save it anew")
-    data_set = pydicom.dcmread(path)
+    data_set = pydicom.dcmread(path, defer_size=_LARGEST_READ_AT_ONCE)
     if "PixelData" not in data_set:
         raise VolumeError("expected a DICOM image, it has no PixelData")
     if data_set.get("SamplesPerPixel", 1) != 1:
         raise VolumeError(f"expected a grey image, got {data_set.SamplesPerPixel} samples per pixel")
     shape = tuple(int(data_set.get(name, 1)) for name in ("NumberOfFrames", "Rows", "Columns"))
+    if shape[0] == 1:
+        raise VolumeError(f"expected a frame for each B-scan, got one frame of {shape[1]} x {shape[2]}")
     bits = int(data_set.BitsAllocated)
     if bits not in (8, 16, 32):
         raise VolumeError(f"expected 8, 16 or 32 bits for each voxel, got {bits}")
     dtype = np.dtype(f"{'i' if data_set.get('PixelRepresentation', 0) else 'u'}{bits // 8}")
     compressed = bool(syntax is not None and syntax.is_compressed)
-    request.limit.check_array(shape, dtype, len(data_set.PixelData), compressed=compressed)
+    request.limit.check_array(shape, dtype, _stored_bytes(data_set, path), compressed=compressed)
     groups = _functional_groups(data_set)
     slope, intercept = _rescale(data_set, groups)
 
@@ -60,7 +64,19 @@ def read_dicom(path: Path, request: ReadRequest) -> RawScan:
         intensity_range=_stored_range(data_set, slope, intercept),
         stamp_ns=_stamp_ns(data_set),
     )
-    return RawScan(header, read_voxels, header.intensity_range)
+    scaled = (slope, intercept) != (1.0, 0.0)
+    return RawScan(header, shape, np.dtype(np.float32) if scaled else dtype, read_voxels, header.intensity_range)
+
+
+def _stored_bytes(data_set: Any, path: Path) -> int:
+    """Return how many bytes the file has for the voxels, as far as that can be told without reading them."""
+    element = data_set.get_item("PixelData", keep_deferred=True)
+    length = getattr(element, "length", None)  # none of an element that was read at once
+    if length is None:
+        return len(element.value)
+    start = element.value_tell
+    left = max(0, path.stat().st_size - start)
+    return left if length == _UNDEFINED_LENGTH else min(length, left)
 
 
 def _functional_groups(data_set: Any) -> list[Any]:

@@ -34,15 +34,19 @@ def read_hdf5(path: Path, request: ReadRequest) -> RawScan:
         names = [*_dataset_names(file), *([request.variable] if request.variable else [])]
         shapes = {name: _shape(dataset) for name in names if (dataset := _dataset(file, name)) is not None}
         name = choose_array(shapes, request.variable)
-        _check(file[name], shapes[name], path.stat().st_size, request)
+        dataset = file[name]
+        _check(dataset, shapes[name], path.stat().st_size, request)
+        dtype = dataset.dtype.newbyteorder("=")
         stated = _dataset(file, _SPACING_KEY)
         spacing_um = _three_numbers(stated) if stated is not None else None
 
     def read_voxels() -> NDArray[Any]:
         with h5py.File(path, "r") as again:
+            _check_chunks(again[name], path.stat().st_size, request)
             return _read(again[name])
 
-    return RawScan(ScanHeader.from_plain({"spacing_m": spacing_um and [s * 1e-6 for s in spacing_um]}), read_voxels)
+    header = ScanHeader.from_plain({"spacing_m": spacing_um and [s * 1e-6 for s in spacing_um]})
+    return RawScan(header, shapes[name], dtype, read_voxels)
 
 
 def _dataset_names(file: h5py.File) -> list[str]:
@@ -73,18 +77,24 @@ def _shape(dataset: h5py.Dataset) -> tuple[int, ...]:
 def _check(dataset: h5py.Dataset, shape: tuple[int, ...], size: int, request: ReadRequest) -> None:
     if dataset.is_virtual or dataset.external:
         raise VolumeError("expected the voxels in the file itself, got a link to other files, which is not followed")
-    plan = dataset.id.get_create_plist()
-    filters = [plan.get_filter(index)[0] for index in range(plan.get_nfilters())]
+    filters = _filters(dataset)
     if any(number not in _FILTERS for number in filters):
         raise VolumeError(f"expected the HDF5 filters {', '.join(_FILTERS.values())}, got numbers {filters}")
     compressed = bool(filters)
     stored = dataset.id.get_storage_size() if dataset.chunks else size
     request.limit.check_array(shape, dataset.dtype, min(stored, size), compressed=compressed)
-    if dataset.chunks:
-        _check_chunks(dataset, size, request, deflated=1 in filters)
 
 
-def _check_chunks(dataset: h5py.Dataset, size: int, request: ReadRequest, *, deflated: bool) -> None:
+def _filters(dataset: h5py.Dataset) -> list[int]:
+    plan = dataset.id.get_create_plist()
+    return [plan.get_filter(index)[0] for index in range(plan.get_nfilters())]
+
+
+def _check_chunks(dataset: h5py.Dataset, size: int, request: ReadRequest) -> None:
+    """Look at every chunk before any is expanded; those that could be bombs are read for it."""
+    if not dataset.chunks:
+        return
+    deflated = 1 in _filters(dataset)
     chunk_bytes = int(np.prod([float(n) for n in dataset.chunks])) * dataset.dtype.itemsize
     request.limit.check(chunk_bytes, size, compressed=True)
     count = dataset.id.get_num_chunks()

@@ -51,7 +51,7 @@ def read_image_folder(path: Path, request: ReadRequest) -> RawScan:
             array[index] = _naming(file, lambda file=file: _pixels(file, request))
         return array
 
-    return RawScan(ScanHeader(), read_voxels)
+    return RawScan(ScanHeader(), (len(files), *shape), dtype, read_voxels)
 
 
 def numbered_images(path: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""`load_volume`: one door for every format."""
+"""`load_volume` and `describe_scan`: one door for every format, with the voxels and without them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from octn_ros.errors import OctnError, VolumeError
+from octn_ros.volume.description import ScanDescription
 from octn_ros.volume.formats import format_function, format_suffix
+from octn_ros.volume.geometry import VolumeGeometry
 from octn_ros.volume.limits import ReadLimit
 from octn_ros.volume.normalisation import Normalisation
 from octn_ros.volume.orientation import AXES, FORWARD, axis_order, check_scan_signs, orient
 from octn_ros.volume.scan_header import RawScan, ReadRequest
-from octn_ros.volume.volume import INTENSITY_SCALES, IntensityScale, Volume, integer_range
+from octn_ros.volume.volume import INTENSITY_SCALES, IntensityScale, Volume, integer_range, kept_type
 
 _LOGGER = logging.getLogger(__name__)
 _SPACING_TOLERANCE = 0.01  # by which a given spacing may differ from the stated one without a word
@@ -94,31 +96,87 @@ def load_volume(
     Raises:
         VolumeError: the file is missing, empty, damaged, of no known format or too large, its spacing is unstated and
             none is given, or its voxels are unusable.
-        ConfigurationError: axes, signs or scale are none.
+        ConfigurationError: axes or signs are none.
     """
     path = Path(path)
     order = axis_order(axes)
     check_scan_signs(scan_signs)
-    if intensity_scale is not None and intensity_scale not in INTENSITY_SCALES:
-        raise VolumeError(f"expected an intensity scale of {', '.join(INTENSITY_SCALES)}, got {intensity_scale!r}")
     with _blaming(path):
         raw = _reader(path)(path, ReadRequest(ReadLimit(max_bytes, max_voxels), variable))
-        spacing_m = _spacing_m(path, raw, order, spacing_um)
+        described = _described(path, raw, order, spacing_um, intensity_scale)
         voxels = raw.read_voxels()
-        if voxels.ndim != 3:
-            raise VolumeError(f"expected three axes [bscan, axial, lateral], got {voxels.shape}")
+        if voxels.shape != raw.shape:
+            raise VolumeError(f"the file is damaged: its header states {raw.shape} voxels, it has {voxels.shape}")
         array = orient(voxels, order, scan_signs)
         type_range = raw.type_range or integer_range(array.dtype)
         stated = raw.header.intensity_range or type_range
         return Volume.from_array(
             array,
-            spacing_m,
+            described.geometry.spacing_m,
             intensity_range=normalisation.intensity_range(array, type_range) if normalisation else stated,
-            intensity_scale=intensity_scale or raw.header.intensity_scale,
-            origin_m=raw.header.origin_m,
-            stamp_ns=raw.header.stamp_ns,
-            frame=raw.header.frame,
+            intensity_scale=described.intensity_scale,
+            origin_m=described.geometry.origin_m,
+            stamp_ns=described.stamp_ns,
+            frame=described.geometry.frame,
         )
+
+
+def describe_scan(
+    path: str | Path,
+    spacing_um: tuple[float, float, float] | None = None,
+    *,
+    axes: Sequence[str] = AXES,
+    intensity_scale: IntensityScale | None = None,
+    variable: str | None = None,
+    max_bytes: int | None = None,
+    max_voxels: int | None = None,
+) -> ScanDescription:
+    """Tell what `load_volume` would give, from the header alone: in milliseconds, however large the file is.
+
+    A folder of images is told by its first one, a compressed NIfTI file by its first bytes. Only vendors' formats are
+    read whole. That the voxels are sound is not looked at.
+
+    Args:
+        path: the file or folder.
+        spacing_um: as for `load_volume`, like the rest.
+        axes: what the axes of the file's array are.
+        intensity_scale: overrides what the file states.
+        variable: name of the array, where the file holds several.
+        max_bytes: the most bytes the voxels may take.
+        max_voxels: the most voxels.
+
+    Raises:
+        VolumeError: as `load_volume`, but for what only the voxels tell.
+        ConfigurationError: the axes are none.
+    """
+    path = Path(path)
+    order = axis_order(axes)
+    with _blaming(path):
+        raw = _reader(path)(path, ReadRequest(ReadLimit(max_bytes, max_voxels), variable))
+        return _described(path, raw, order, spacing_um, intensity_scale)
+
+
+def _described(
+    path: Path,
+    raw: RawScan,
+    order: tuple[int, int, int],
+    spacing_um: tuple[float, float, float] | None,
+    intensity_scale: IntensityScale | None,
+) -> ScanDescription:
+    if intensity_scale is not None and intensity_scale not in INTENSITY_SCALES:
+        raise VolumeError(f"expected an intensity scale of {', '.join(INTENSITY_SCALES)}, got {intensity_scale!r}")
+    spacing_m = _spacing_m(path, raw, order, spacing_um)
+    if len(raw.shape) != 3:
+        raise VolumeError(f"expected three axes [bscan, axial, lateral], got {raw.shape}")
+    shape = (raw.shape[order[0]], raw.shape[order[1]], raw.shape[order[2]])
+    type_range = raw.type_range or (None if raw.dtype is None else integer_range(raw.dtype))
+    return ScanDescription(
+        VolumeGeometry(shape, spacing_m, raw.header.origin_m, raw.header.frame),
+        None if raw.dtype is None else kept_type(raw.dtype),
+        raw.header.intensity_range or type_range,
+        intensity_scale or raw.header.intensity_scale,
+        raw.header.stamp_ns,
+    )
 
 
 @contextmanager

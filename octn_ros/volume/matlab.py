@@ -53,7 +53,8 @@ def read_matlab(path: Path, request: ReadRequest) -> RawScan:
             raise VolumeError(f"expected real intensities as {name}, got type {array.dtype}")
         return array
 
-    return RawScan(ScanHeader.from_plain({"spacing_m": spacing_um and [s * 1e-6 for s in spacing_um]}), read_voxels)
+    header = ScanHeader.from_plain({"spacing_m": spacing_um and [s * 1e-6 for s in spacing_um]})
+    return RawScan(header, shape, None, read_voxels)
 
 
 def _spacing_um(path: Path) -> list[float]:

@@ -48,9 +48,10 @@ def read_nifti(path: Path, request: ReadRequest) -> RawScan:
     if not math.isfinite(intercept):
         raise VolumeError(f"expected a finite intercept of the intensities, got {intercept}")
     scaled = (slope, intercept) != (1.0, 0.0)
+    dtype = np.dtype(np.float32) if scaled else kept_type(stored_type)
 
     def read_voxels() -> NDArray[Any]:
-        array = np.empty(shape, np.float32 if scaled else kept_type(stored_type))
+        array = np.empty(shape, dtype)
         with _opened(path, compressed) as file:
             _skip(file, offset)
 
@@ -61,7 +62,8 @@ def read_nifti(path: Path, request: ReadRequest) -> RawScan:
             file.read(1)  # reaching its end makes gzip check the sum of what was read
         return array
 
-    return RawScan(_scan_header(header, comment), read_voxels, None if scaled else integer_range(stored_type))
+    type_range = None if scaled else integer_range(stored_type)
+    return RawScan(_scan_header(header, comment), shape, dtype, read_voxels, type_range)
 
 
 def write_nifti(path: Path, volume: Volume) -> None:

@@ -34,7 +34,7 @@ def read_npy(path: Path, request: ReadRequest) -> RawScan:
     with path.open("rb") as file:
         shape, dtype = _array_header(file)
         request.limit.check_array(shape, dtype, size - file.tell(), compressed=False)
-    return RawScan(ScanHeader(), lambda: np.load(path, mmap_mode="r", allow_pickle=False))
+    return RawScan(ScanHeader(), shape, dtype, lambda: np.load(path, mmap_mode="r", allow_pickle=False))
 
 
 def read_npz(path: Path, request: ReadRequest) -> RawScan:
@@ -66,7 +66,7 @@ def read_npz(path: Path, request: ReadRequest) -> RawScan:
             file.read(1)  # reaching its end makes zipfile check the sum of what was read
             return array
 
-    return RawScan(ScanHeader.from_plain(values), read_voxels)
+    return RawScan(ScanHeader.from_plain(values), shape, dtype, read_voxels)
 
 
 def write_npz(path: Path, volume: Volume) -> None:

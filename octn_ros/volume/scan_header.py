@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from octn_ros.errors import VolumeError
@@ -128,11 +129,15 @@ class RawScan:
 
     Attributes:
         header: what the file states; the spacing is along the axes in the file's own order.
+        shape: of the array, in the file's own order.
+        dtype: type of its voxels, as `read_voxels` gives them; None where only the voxels tell it.
         read_voxels: reads the array, three axes in the file's own order.
         type_range: range of the integers in the file, where the array has another type; None: as the array has it.
     """
 
     header: ScanHeader
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any] | None
     read_voxels: Callable[[], NDArray[Any]]
     type_range: tuple[float, float] | None = None
 

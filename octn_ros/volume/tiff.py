@@ -40,10 +40,11 @@ def read_tiff(path: Path, request: ReadRequest) -> RawScan:
         VolumeError: pages differ, use a codec that is not read, are damaged, or claim more than they have or may.
     """
     with tifffile.TiffFile(path) as tif:
-        pages = checked_pages(tif, path.stat().st_size, request)
+        pages = checked_pages(tif, path.stat().st_size, request, content=False)
         header = _own_header(pages[0]) or ScanHeader(spacing_m=_imagej_spacing(tif, len(pages)) or _ome_spacing(tif))
         shape = (len(pages), *pages[0].shape)
         dtype = pages[0].dtype
+        assert dtype is not None  # checked_pages has seen to it
 
     def read_voxels() -> NDArray[Any]:
         array = np.empty(shape, dtype)
@@ -53,11 +54,19 @@ def read_tiff(path: Path, request: ReadRequest) -> RawScan:
                 page.asarray(out=array[index], maxworkers=1)
         return array
 
-    return RawScan(header, read_voxels)
+    return RawScan(header, shape, dtype, read_voxels)
 
 
-def checked_pages(tif: tifffile.TiffFile, size: int, request: ReadRequest) -> list[tifffile.TiffPage]:
+def checked_pages(
+    tif: tifffile.TiffFile, size: int, request: ReadRequest, *, content: bool = True
+) -> list[tifffile.TiffPage]:
     """Return the pages of a file, of which there is at least one, all alike and none claiming more than it may.
+
+    Args:
+        tif: the open file.
+        size: its bytes.
+        request: what may be read.
+        content: whether what large compressed segments expand to is looked at, for which they are read.
 
     Raises:
         VolumeError: as `read_tiff`.
@@ -84,7 +93,7 @@ def checked_pages(tif: tifffile.TiffFile, size: int, request: ReadRequest) -> li
     assert first.dtype is not None  # _check_page has seen to it
     request.limit.check_array((len(pages), *first.shape), first.dtype, size, compressed=first.compression != 1)
     for page in pages:
-        if page.compression in _DEFLATE:
+        if content and page.compression in _DEFLATE:
             _check_segments(tif, page)
     return pages
 

@@ -47,7 +47,7 @@ def read_vendor(path: Path, request: ReadRequest) -> RawScan:
         shape, dtype = tuple(stated["shape"]), np.dtype(stated["dtype"])
         request.limit.check_array(shape, dtype, path.stat().st_size, compressed=True)
         voxels: NDArray[Any] = np.load(output, allow_pickle=False)
-    return RawScan(ScanHeader.from_plain(stated), lambda: voxels)
+    return RawScan(ScanHeader.from_plain(stated), voxels.shape, voxels.dtype, lambda: voxels)
 
 
 def _run(path: Path, request: ReadRequest, output: Path) -> str:

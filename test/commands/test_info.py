@@ -47,6 +47,32 @@ def test_every_format_is_told_alike(scan_file, tmp_path, suffix, capsys):
     assert told[0] == told[1]
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".tif", ".nii", ".nii.gz"])
+def test_the_header_alone_says_the_same_and_no_voxel_is_read(scan_file, tmp_path, suffix, capsys, monkeypatch):
+    copy = tmp_path / f"copy{suffix}"
+    save_volume(copy, load_volume(scan_file))
+    assert main(["info", str(copy), "--json"]) == 0
+    whole = json.loads(capsys.readouterr().out)
+    monkeypatch.setattr(Volume, "__post_init__", None)  # no volume can be made
+    assert main(["info", str(copy), "--header", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == {key: whole[key] for key in told}
+    assert whole.keys() - told.keys() == {"intensity", "histogram", "surface", "snr_db"}
+    assert main(["info", str(copy), "--header"]) == 0
+    assert "14 B-scans x 24 axial x 16 lateral" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_header_tells_no_range_of_floats(tmp_path, capsys):
+    np.save(tmp_path / "scan.npy", np.random.default_rng(0).random((4, 5, 6)))
+    spacing = ["--spacing-um", "20", "5", "20"]
+    assert main(["info", str(tmp_path / "scan.npy"), "--header", *spacing]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "120 of type float32" in text
+    assert "as the voxels have it" in text
+    assert main(["info", str(tmp_path / "scan.npy"), "--header", "--normalise", "minmax", *spacing]) == 2
+    assert "--normalise" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("bright", [1, 2000])
 def test_a_scan_of_two_values_is_described(tmp_path, bright, capsys):
     array = np.zeros((10, 20, 20), np.uint8)

@@ -65,6 +65,12 @@ def test_a_file_that_is_played_counts_with_the_factor(tmp_path: Path, factor: in
     assert scan.spacing_m == pytest.approx((4e-6 * factor, 5e-6, 6e-6))
 
 
+def test_of_a_file_that_is_played_the_header_is_read_alone(tmp_path: Path) -> None:
+    np.save(tmp_path / "scan.npy", np.zeros((7, 5, 4), np.uint8))  # voxels that no Volume can be made of
+    scan = simulated_scan({"volume_file": str(tmp_path / "scan.npy"), "bscan_factor": 2}, "", (4.0, 5.0, 6.0))
+    assert scan.shape == (4, 5, 4)
+
+
 @pytest.mark.parametrize("text", ["- 3", "a: [", "3"])
 def test_what_is_no_parameter_file_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "params.yaml"
