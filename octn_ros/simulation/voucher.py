@@ -66,15 +66,16 @@ class Voucher:
                 f"expected a plan_status with plan_hash {path.hash}, stamp_ns {path.stamp_ns} and a field_hash, got "
                 f"{self.plan_hash or 'none'}, {self.scan or 'none'} and {self.field_hash or 'none'}; plan again"
             )
+        do = "is its process stopped or stuck? restart it"
         # Never heard of is infinitely silent.
         if not self.silent_s <= longest_silence_s:
             got = f"none for {self.silent_s:.1f} s" if math.isfinite(self.silent_s) else "none yet"
         elif self.lives_for != path.hash:
-            got = f"one with {self.lives_for or 'none'}"
+            got, do = f"one with {self.lives_for or 'none'}", "plan again"
         else:
             return None
         node = self.node or "not named in plan_status"
         return (
             f"expected a sign of life of the planner (node {node}) on /diagnostics with plan_hash {path.hash} every "
-            f"{longest_silence_s:g} s, got {got}; is its process stopped or stuck? restart it"
+            f"{longest_silence_s:g} s, got {got}; {do}"
         )

@@ -35,7 +35,7 @@ def test_one_planner_that_lives_and_names_the_plan_stands_for_it():
             "(node /octn/planner) on /diagnostics with plan_hash ab12ab12ab12ab12 every 1 s, got none for 1.1",
         ),
         ({"silent_s": 1.1, "node": ""}, "node not named in plan_status"),
-        ({"lives_for": "ab13" * 4}, "every 1 s, got one with ab13ab13ab13ab13;"),
+        ({"lives_for": "ab13" * 4}, "every 1 s, got one with ab13ab13ab13ab13; plan again"),
         ({"lives_for": ""}, "every 1 s, got one with none;"),
         ({"silent_s": math.inf}, "got none yet"),
         ({"silent_s": math.nan}, "got none yet"),
