@@ -39,6 +39,7 @@ COLUMNS = (
     *(Column(f"{method}_chamfer_um", f"{method} Chamfer um", "{:.1f}") for method in METHODS[1:]),
     *(Column(f"{method}_truth_chamfer_um", f"{method}, truth Chamfer um", "{:.1f}") for method in METHODS),
     *(Column(f"{method}_truth_epi", f"{method}, truth EPI", "{:.3f}") for method in METHODS),
+    *(Column(f"{method}_truth_rise", f"{method}, rise of edges", "{:.2f}") for method in METHODS),
     Column("sigma_voxels", "sigma voxels", "{:.1f}"),
     Column("seconds", "fit s", "{:.1f}"),
 )
@@ -55,7 +56,10 @@ _NOTES = (
     "dB: over the held-out B-scans against what was measured there, of which the speckle is in nobody's power; truth: "
     "against the noise-free phantom.",
     "All choices, the field's network and the Gaussian's width alike, are made on the kept B-scans alone.",
-    "Chamfer: surfaces by eq. 3 after a Gaussian of one voxel, of the measured scan, or of the noise-free one (truth).",
+    "Chamfer: surfaces by eq. 3 after a Gaussian of one voxel, of the measured scan, or of the noise-free one (truth), "
+    "on all B-scans. A kept B-scan that is only smoothed shares the measured one's speckle and its surface's errors.",
+    "Rise of edges: across the true surface, from the voxel before it to the one after, over that of the noise-free "
+    "scan; 1 where edges are as steep as they are.",
 )
 # Fig. 5 has no table: only what its text says.
 _PAPER = (

@@ -31,6 +31,9 @@ class Figures:
         truth_psnr_db: over the held-out B-scans, against the noise-free scan.
         truth_epi: edge preservation index against the noise-free scan there.
         truth_chamfer_um: between the surfaces of the noise-free scan and of the reconstruction.
+        truth_rise: mean rise from the voxel before the noise-free scan's surface to the one after it, over that of the
+            noise-free scan, on the held-out B-scans: 1 where edges are as steep. Noise, which no edge preservation
+            index tells from edges, adds nothing to it.
     """
 
     psnr_db: float
@@ -41,6 +44,7 @@ class Figures:
     truth_psnr_db: float = np.nan
     truth_epi: float = np.nan
     truth_chamfer_um: float = np.nan
+    truth_rise: float = np.nan
 
 
 class SparseJudge:
@@ -75,23 +79,29 @@ class SparseJudge:
         )
         if self._truth is None or self._true_surface is None:
             return figures
-        true_errors = _squared_errors(self._truth[self._held_out], reconstruction[self._held_out])
+        truth, guess = self._truth[self._held_out], reconstruction[self._held_out]
+        depth = self._depth(self._true_surface)[self._held_out]
         edges = (
             edge_preservation_index(self._truth[bscan], reconstruction[bscan]) for bscan in self._held_out.tolist()
         )
         return dataclasses.replace(
             figures,
-            truth_psnr_db=psnr_from_error_db(float(true_errors.mean())),
+            truth_psnr_db=psnr_from_error_db(float(_squared_errors(truth, guess).mean())),
             truth_epi=_mean(edges),
             truth_chamfer_um=cloud_distance(self._true_surface, surface).chamfer_m * 1e6,
+            truth_rise=_rise(guess, depth) / _rise(truth, depth),
         )
 
     def _points(self, intensity: Intensity) -> NDArray[np.float64]:
         geometry = dataclasses.replace(self._volume.geometry, shape=intensity.shape)
         scan = dataclasses.replace(self._volume, array=intensity, geometry=geometry, intensity_range=(0.0, 1.0))
         points = native_surface(gaussian_filter(scan, SURFACE_SIGMA_VOXELS))
-        depth = np.float64(geometry.metric_to_voxel(points)[..., 1]).reshape(intensity.shape[0], intensity.shape[2])
-        return surface_points_m(scan, depth)
+        return surface_points_m(scan, self._depth(points))
+
+    def _depth(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the axial index [bscan, lateral] of surface points on the scan's grid."""
+        geometry = self._volume.geometry
+        return np.float64(geometry.metric_to_voxel(points)[..., 1]).reshape(-1, geometry.shape[2])
 
     def _ssim(self, reconstruction: Intensity) -> float:
         if min(reconstruction.shape[1:]) < SSIM_WINDOW:
@@ -102,6 +112,14 @@ class SparseJudge:
 def _squared_errors(one: Intensity, other: Intensity) -> NDArray[np.float64]:
     """Return the mean squared error of every B-scan."""
     return np.array([np.mean(np.square(a - b), dtype=np.float64) for a, b in zip(one, other, strict=True)])
+
+
+def _rise(intensity: Intensity, depth: NDArray[np.float64]) -> float:
+    """Return the mean rise over two voxels along the beam at the axial index [bscan, lateral] in each A-scan."""
+    row = np.rint(depth).astype(np.int64).clip(1, intensity.shape[1] - 2)[:, None]
+    return float(
+        (np.take_along_axis(intensity, row + 1, axis=1) - np.take_along_axis(intensity, row - 1, axis=1)).mean()
+    )
 
 
 def _mean(values: Iterable[float]) -> float:

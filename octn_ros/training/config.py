@@ -98,8 +98,9 @@ FAST = FitConfig(
     start_from_data=True,
     bricks=True,
 )
-# For scans with few B-scans, or with much speckle: every level keeps the B-scans apart, cells double across the
-# beam from level to level, and only the network is learned, from what B-scans share with their neighbours.
+# For scans with few B-scans, or with much speckle: every level keeps voxels along the beam and B-scans apart, these by
+# more cells where tissue moves from one to the next; cells double across the beam from level to level; and only the
+# network is learned, from what B-scans share with their neighbours.
 SPARSE = FitConfig(
     preset="sparse",
     field=NeuralFieldConfig(
@@ -107,9 +108,8 @@ SPARSE = FitConfig(
             levels=3,
             features=2,
             log2_table_size=28,
-            finest_ratio=0.7,
+            finest_ratio=1.0,
             follow_shape=True,
-            axial_refinement=2.0,
             lateral_growth=2.0,
             cells_per_bscan=1.0,
         ),

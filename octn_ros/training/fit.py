@@ -25,6 +25,7 @@ from octn_ros.training.noise import noise_variance
 from octn_ros.training.point_trainer import without_graph
 from octn_ros.training.progress import FitProgress, ProgressTally, Schedule, Stage
 from octn_ros.training.sampling import ResidentVoxels
+from octn_ros.training.tissue_sheet import TissueSheet
 from octn_ros.training.trainer import Trainer, backend_of_fit, make_trainer
 from octn_ros.volume import Volume
 
@@ -96,6 +97,7 @@ def fit(
     is_cancelled = cancelled or _never
     voxels = ResidentVoxels(volume, device)
     held_in = HeldInVoxels(voxels)
+    sheet = TissueSheet.of(volume, is_cancelled) if config.objective == "neighbours" else None
     if start is not None:
         config = dataclasses.replace(config, field=start.config)
         model = _model_of(start, volume).to(device)
@@ -104,13 +106,19 @@ def fit(
                 model, volume, start, lambda here: held_in.mean_squared_error(without_graph(here)), is_cancelled
             )
     else:
-        config = dataclasses.replace(config, field=config.field.for_volume(volume.geometry))
+        field_config = config.field.for_volume(volume.geometry)
+        if sheet is not None:
+            cells = sheet.cells_per_bscan(field_config.grid.cells_per_bscan, volume.geometry.shape[1])
+            field_config = dataclasses.replace(
+                field_config, grid=dataclasses.replace(field_config.grid, cells_per_bscan=cells)
+            )
+        config = dataclasses.replace(config, field=field_config)
         model = _seeded_model(config, volume, held_in.mean)
         if config.start_from_data and config.objective == "voxels":
             start_from_data(model, volume, is_cancelled)
         model = model.to(device)
     backend = backend_of_fit(model, config)
-    trainer = make_trainer(model, volume, voxels, config, backend, is_cancelled, warm=start is not None)
+    trainer = make_trainer(model, volume, voxels, config, backend, is_cancelled, sheet=sheet, warm=start is not None)
     steps, seconds, history, ended = _train(voxels, trainer, held_in, config, progress or _ignore, is_cancelled)
     field = NeuralField(model, config.field, FieldDescription.of_volume(volume, "neural"))
     quality = math.nan if ended == "cancelled" else psnr_of_field(field, volume, cancelled=is_cancelled)

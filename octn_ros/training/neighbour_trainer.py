@@ -14,16 +14,18 @@ from torch import Tensor, nn
 from octn_ros.errors import TrainingError
 from octn_ros.field import NeuralModel
 from octn_ros.field.network import Network
-from octn_ros.training.held_in import evaluated_bscans
+from octn_ros.training.held_in import EVALUATED_BSCANS, evaluated_bscans
 from octn_ros.training.point_trainer import without_graph
-from octn_ros.training.scale_space import features_between, fill_with_scales
+from octn_ros.training.scale_space import check_scales, features_between, fill_with_scales
+from octn_ros.training.tissue_sheet import TissueSheet
 from octn_ros.volume import Volume
 
 # B-scans on each side that a prediction sees. They lie two apart, as if every other one had not been measured, so
 # that whatever is learned is learned from speckle that the predicted B-scan does not share.
 _REACH = 3
-# Samples kept, of all predicted B-scans together: 128 MB at eight features.
-_MOST_SAMPLES = 1 << 22
+# Samples kept, of all predicted B-scans together: 50 MB at six features.
+_MOST_SAMPLES = 1 << 21
+_FEWEST = 6  # B-scans that are predicted, however large they are
 # Of features in a direction that counts; intensities are between 0 and 1.
 _LEAST_VARIANCE = 1e-6
 # Intensities and their averages lie in [0, 1]; carried through a ReLU they must not fall below 0.
@@ -45,6 +47,7 @@ class NeighbourTrainer:
     Args:
         model: the model that is trained.
         volume: the C-scan; B-scans close enough that neighbours resemble each other.
+        sheet: what its tissue follows.
         batch: samples of a step.
         seed: of the samples.
         cancelled: asked before every B-scan while the tables are made; after True no step is done.
@@ -58,6 +61,7 @@ class NeighbourTrainer:
         self,
         model: NeuralModel,
         volume: Volume,
+        sheet: TissueSheet,
         batch: int,
         seed: int,
         cancelled: Callable[[], bool],
@@ -68,8 +72,9 @@ class NeighbourTrainer:
         self.trained: nn.Module = model.network
         self.samples = 0
         device = model.grid.table.device
-        features, intensities = _predictions(model, volume, seed, cancelled)
-        fill_with_scales(model.grid, lambda bscan: volume.normalized((bscan,)), volume.geometry.shape, cancelled)
+        check_scales(model.grid)
+        features, intensities = _predictions(model, volume, sheet, seed, cancelled)
+        fill_with_scales(model.grid, volume.normalized, sheet, volume.geometry.shape, cancelled)
         mean, to_white, from_white = _whitening(features)
         for rows in range(0, len(features), 1 << 16):
             part = features[rows : rows + (1 << 16)]
@@ -121,17 +126,21 @@ class NeighbourTrainer:
 
 
 def _predictions(
-    model: NeuralModel, volume: Volume, seed: int, cancelled: Callable[[], bool]
+    model: NeuralModel, volume: Volume, sheet: TissueSheet, seed: int, cancelled: Callable[[], bool]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return features [N, width] from the neighbours of evenly spaced B-scans, and their intensities [N]."""
     bscans, axials, laterals = volume.geometry.shape
     if bscans < 3:
         raise TrainingError(f"expected at least 3 B-scans to learn from neighbours, got {bscans}; learn from voxels")
-    predicted = np.unique(evaluated_bscans(volume.geometry).clip(1, bscans - 2))
+    fewer = max(_FEWEST, min(EVALUATED_BSCANS, _MOST_SAMPLES // (axials * laterals)))
+    predicted = np.unique(evaluated_bscans(volume.geometry, fewer).clip(1, bscans - 2))
     kept = min(axials * laterals, _MOST_SAMPLES // len(predicted))
     generator = np.random.default_rng(seed)
     features = np.zeros((len(predicted) * kept, model.grid.width), np.float32)
     intensities = np.zeros(len(features), np.float32)
+    config = model.grid.config
+    # Neighbours lie two apart: layers are to be as close to each other as in the model's own table.
+    refined = 2.0 if config.cells_per_bscan else 1.0
     for place, bscan in enumerate(predicted.tolist()):
         if cancelled():
             break
@@ -140,17 +149,18 @@ def _predictions(
             for neighbour in range(bscan - 2 * _REACH + 1, bscan + 2 * _REACH, 2)
             if 0 <= neighbour < bscans
         ]  # fmt: skip
-        config = model.grid.config
         scales = config.level_scales((len(neighbours), axials, laterals))
         levels = [
-            type(level).fit(scale, 2**config.log2_table_size, 0, level.smooth)
-            for level, scale in zip(model.grid.grid_levels, scales, strict=True)
+            type(level).fit((across, along, refined * slow), 2**config.log2_table_size, 0, level.smooth)
+            for level, (across, along, slow) in zip(model.grid.grid_levels, scales, strict=True)
         ]
-        planes = [volume.normalized((neighbour,)) for neighbour in neighbours]
+        planes = volume.normalized(neighbours)
         position = (bscan - neighbours[0]) / 2.0
+        among = TissueSheet(sheet.depth[neighbours])
+        answer = features_between(levels, planes, among, position, sheet.as_if_between(bscan, neighbours))
         chosen = np.sort(generator.choice(axials * laterals, kept, replace=False))
         rows = slice(place * kept, (place + 1) * kept)
-        features[rows] = features_between(levels, config.features, planes, position)[chosen]
+        features[rows] = answer[chosen]
         intensities[rows] = volume.normalized((bscan,)).ravel()[chosen]
     return features, intensities
 

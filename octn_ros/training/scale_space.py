@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,102 +15,219 @@ from scipy.ndimage import gaussian_filter1d
 from octn_ros.errors import TrainingError
 from octn_ros.field.grid_level import GridLevel
 from octn_ros.field.hash_grid import HashGrid
-from octn_ros.training.data_start import axis_averages
+from octn_ros.training.resampling import flattened, resampled, sharpened
+from octn_ros.training.tissue_sheet import TissueSheet
 
-# Intensities [axial, lateral] of the B-scan of that number.
-Plane = Callable[[int], NDArray[np.float32]]
+# Intensities [bscan, axial, lateral] of those B-scans.
+Planes = Callable[[slice], NDArray[np.float32]]
+FEATURES = 2  # of each level: averaged along the tissue, averaged in place
+_SLAB_VOXELS = 1 << 23  # worked on at a time
 
 
-def fill_with_scales(grid: HashGrid, plane: Plane, shape: tuple[int, int, int], cancelled: Callable[[], bool]) -> bool:
+@dataclass(frozen=True)
+class Average:
+    """Standard deviations, in voxels, of the Gaussians behind one feature of a level.
+
+    Attributes:
+        follows: whether it is taken along the tissue, so that slopes blur nothing, or in place.
+        lateral: across the beam.
+        axial: along it.
+        slow: from B-scan to B-scan.
+    """
+
+    follows: bool
+    lateral: float
+    axial: float
+    slow: float
+
+    @property
+    def reach(self) -> int:
+        """B-scans on each side that count."""
+        return math.ceil(3.0 * self.slow)
+
+
+def level_averages(levels: Sequence[GridLevel], shape: tuple[int, int, int]) -> list[tuple[Average, Average]]:
+    """Return the averages behind the features of each level of a grid for a volume of that shape, coarsest first.
+
+    The finest level holds voxels as they are. The n-th one below it averages over some 2^n of its cells across the
+    beam, along the tissue without blurring it along the beam, in place along the beam too; and over n B-scans.
+    """
+    cell = (shape[2] - 1) / levels[-1].scale[0]
+    averages = [(Average(True, 0.0, 0.0, 0.0), Average(False, 0.0, 0.0, 0.0))]
+    for below in range(1, len(levels)):
+        across = cell * 2.0**below
+        averages.append((Average(True, 1.25 * across, 0.0, below), Average(False, 2.0 * across, 0.75 * across, below)))
+    return averages[::-1]
+
+
+def check_scales(grid: HashGrid) -> None:
+    """Raise TrainingError, in words, if a grid cannot hold a volume at several scales."""
+    if grid.config.features != FEATURES:
+        raise TrainingError(
+            f"expected {FEATURES} features a level to learn from neighbours, along the tissue and in place, got "
+            f"{grid.config.features}; set them so, or learn from voxels"
+        )
+    for number, level in enumerate(grid.grid_levels):
+        if not level.dense:
+            raise TrainingError(
+                f"expected levels that store every vertex, got level {number} with {level.size} shared rows; raise "
+                "log2_table_size, or learn from voxels"
+            )
+
+
+def fill_with_scales(
+    grid: HashGrid, planes: Planes, sheet: TissueSheet, shape: tuple[int, int, int], cancelled: Callable[[], bool]
+) -> bool:
     """Set a grid's whole table, in place, to a volume at the scales of its levels; return whether it was done.
 
-    Every vertex takes the mean of the voxels around it in the plane of the B-scans, weighted as interpolation weights
-    them; between B-scans it takes what is interpolated linearly. Of a level's features the first does so from the
-    B-scans as they are, the others after a Gaussian of 1, 2, ... B-scans along the slow axis.
+    Between B-scans vertices take what is interpolated linearly: along the sheet for the first feature of a level, in
+    place for the second.
 
     Args:
-        grid: on any device; every level stores all its vertices.
-        plane: the volume; asked once for each B-scan and level.
+        grid: on any device; every level stores all its vertices and has `FEATURES` features.
+        planes: the volume; asked for slabs of B-scans.
+        sheet: what the tissue follows there.
         shape: of the volume (bscan, axial, lateral).
-        cancelled: asked before every B-scan; True ends it with the table half filled.
+        cancelled: asked several times for every slab; True ends it with the table half filled.
 
     Raises:
-        TrainingError: a level shares rows between vertices.
+        TrainingError: a level shares rows between vertices, or has another number of features.
     """
     bscans, axials, laterals = shape
-    for number, level in enumerate(grid.grid_levels):
-        _check_dense(number, level)
-        sigma = _axial_sigma(level, grid.grid_levels[-1], shape)
-        table = grid.table.detach()[level.first_row : level.first_row + level.size]
-        columns, rows, layers = level.vertices
-        to_columns = axis_averages(laterals, level.scale[0], columns)
-        to_rows = axis_averages(axials, level.scale[1], rows)
-        planes = np.empty((bscans, rows * columns), np.float32)
-        for bscan in range(bscans):
-            if cancelled():
-                return False
-            averaged = (to_columns @ plane(bscan).T).T
-            planes[bscan] = (to_rows @ _smoothed(averaged, sigma)).ravel()
-        between = _between(bscans, level.scale[2], layers)
-        for feature in range(grid.config.features):
-            values = between @ _smoothed(planes, feature)
-            table[:, feature].copy_(torch.from_numpy(values.reshape(-1)))
+    check_scales(grid)
+    levels = grid.grid_levels
+    averages = level_averages(levels, shape)
+    halo = 1 + max(average.reach for pair in averages for average in pair)
+    step = max(1, _SLAB_VOXELS // (axials * laterals))
+    for first in range(0, bscans, step):
+        start = max(0, first - halo)
+        end = min(bscans, first + step + halo)
+        slab = planes(slice(start, end))
+        for level, pair in zip(levels, averages, strict=True):
+            columns, rows, layers = level.vertices
+            positions = _vertex_places(bscans, level.scale[2], layers).clip(0.0, bscans - 1.0)
+            mine = np.flatnonzero((positions >= first) & (positions < first + step))
+            table = grid.table.detach()[level.first_row : level.first_row + level.size]
+            table = table.view(layers, rows, columns, FEATURES)
+            if mine.size == 0:
+                continue
+            within = slice(int(mine[0]), int(mine[-1]) + 1)
+            for feature, average in enumerate(pair):
+                if cancelled():
+                    return False
+                part = _around(positions[within], average.reach, bscans)
+                values = _layers(
+                    level,
+                    average,
+                    slab[part.start - start : part.stop - start],
+                    sheet.depth[part],
+                    positions[within] - part.start,
+                    sheet.at(positions[within]),
+                )
+                table[within, :, :, feature] = torch.from_numpy(values).to(table.device)
     return True
 
 
 def features_between(
-    levels: Sequence[GridLevel], features: int, planes: Sequence[NDArray[np.float32]], position: float
+    levels: Sequence[GridLevel],
+    planes: NDArray[np.float32],
+    sheet: TissueSheet,
+    position: float,
+    depth: NDArray[np.float64],
 ) -> NDArray[np.float32]:
     """Return what a grid, filled with a few B-scans, says of a B-scan between them [axial * lateral, width].
 
-    Equal to `fill_with_scales` and a query at the voxels of that B-scan (tested), without a table: everything is
-    linear and separable by axis, so the B-scans are summed first.
+    Equal to `fill_with_scales` and a query at the voxels of that B-scan (tested), without a table.
 
     Args:
         levels: of a grid for a volume of these B-scans.
-        features: of each level.
-        planes: the B-scans, at least two.
+        planes: the B-scans [bscan, axial, lateral], at least two.
+        sheet: of these B-scans.
         position: of the B-scan in between, counted in B-scans from the first.
+        depth: where the sheet lies there [lateral]; layers around it are as far from it as the sheet says.
     """
-    count, (axials, laterals) = len(planes), planes[0].shape
-    stack = np.stack([plane.ravel() for plane in planes])
-    answer = np.empty((axials, laterals, len(levels) * features), np.float32)
-    for number, level in enumerate(levels):
-        _check_dense(number, level)
-        sigma = _axial_sigma(level, levels[-1], (count, axials, laterals))
+    count, axials, laterals = planes.shape
+    answer = np.empty((axials, laterals, len(levels) * FEATURES), np.float32)
+    off = depth - sheet.at(np.array([position]))[0]
+    pairs = level_averages(levels, planes.shape)
+    for number, (level, pair) in enumerate(zip(levels, pairs, strict=True)):
         columns, rows, layers = level.vertices
+        places = _vertex_places(count, level.scale[2], layers).clip(0.0, count - 1.0)
         at_place = _interpolation(np.array([position]), count, level.scale[2], layers, level.smooth)
+        used = at_place.indices
         across = _interpolation(np.arange(laterals), laterals, level.scale[0], columns, level.smooth)
         along = _interpolation(np.arange(axials), axials, level.scale[1], rows, level.smooth)
-        # Means around the vertices, and interpolated between them again: one matrix an axis.
-        across = across @ axis_averages(laterals, level.scale[0], columns)
-        along = along @ axis_averages(axials, level.scale[1], rows)
-        for feature in range(features):
-            weights = at_place @ _between(count, level.scale[2], layers) @ _smoothed(np.eye(count), feature)
-            summed = _smoothed((np.float32(weights) @ stack).reshape(axials, laterals), sigma)
-            answer[..., number * features + feature] = along @ (across @ summed.T).T
+        for feature, average in enumerate(pair):
+            values = _layers(level, average, planes, sheet.depth, places[used], sheet.at(places[used]) + off)
+            plane = np.tensordot(at_place.data, values, axes=1)
+            answer[..., number * FEATURES + feature] = along @ (across @ plane.T).T
     return answer.reshape(axials * laterals, -1)
 
 
-def _axial_sigma(level: GridLevel, finest: GridLevel, shape: tuple[int, int, int]) -> float:
-    """Return the width in voxels of the Gaussian along the beam that goes with a level's cells across it.
+def _layers(
+    level: GridLevel,
+    average: Average,
+    planes: NDArray[np.float32],
+    depth: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    depth_there: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Return what the vertices [layer, row, column] of some layers of a level hold of one feature.
 
-    A mean over the vertices' surroundings, interpolated between vertices, is about as wide as a Gaussian of 0.58 cells.
+    Args:
+        level: the level.
+        average: what the feature is.
+        planes: B-scans [bscan, axial, lateral] around the layers.
+        depth: of the sheet in them [bscan, lateral].
+        positions: of the layers, counted in B-scans from the first of these.
+        depth_there: of the sheet in the layers [layer, lateral].
     """
-    coarser = finest.scale[0] / level.scale[0]
-    return 0.0 if coarser == 1.0 else 0.58 * coarser * (shape[1] - 1) / finest.scale[1]
+    _, axials, laterals = planes.shape
+    column_places = _vertex_places(laterals, level.scale[0], level.vertices[0]).clip(0.0, laterals - 1.0)
+    row_places = _vertex_places(axials, level.scale[1], level.vertices[1])
+    planes = sharpened(planes, _blur_of_cells(axials, level.scale[1]))
+    top = 0
+    if average.follows:
+        above = math.floor(depth.min())  # whole, so that it does not matter which B-scans are there
+        planes, top = flattened(planes, depth - above)
+        depth_there = _between(np.asarray(depth_there - above).T, column_places).T
+    else:
+        depth_there = np.zeros((len(positions), len(column_places)))
+    planes = _between(np.moveaxis(_smoothed(planes, average.lateral, 2), 2, 0), column_places)
+    planes = np.moveaxis(planes, 0, 2)
+    planes = _smoothed(_smoothed(planes, average.axial, 1), average.slow, 0)
+    return resampled(_between(planes, positions), np.float32(row_places + top), -depth_there)
 
 
-def _smoothed(planes: NDArray[np.floating], sigma: float) -> NDArray[np.floating]:
-    return gaussian_filter1d(planes, sigma, axis=0, mode="nearest") if sigma > 0 else planes
+def _vertex_places(count: int, scale: float, vertices: int) -> NDArray[np.float64]:
+    """Return where a level's vertices lie along one axis, in voxels of `count`; the outermost lie beyond them."""
+    return np.asarray((np.arange(vertices) - 0.5) * ((count - 1) / scale))
 
 
-def _between(count: int, scale: float, vertices: int) -> sparse.csr_matrix:
-    """Return the matrix [vertices, count] that interpolates linearly between samples, and holds them beyond."""
-    vertex = np.arange(vertices)
-    position = ((vertex - 0.5) * ((count - 1) / scale)).clip(0.0, count - 1.0)
-    before = np.minimum(position.astype(np.int64), count - 2)
-    return _two_a_row(before, position - before, count)
+def _blur_of_cells(count: int, scale: float) -> float:
+    """Return the mean variance, in voxels squared, of linear interpolation at the voxels between vertices."""
+    place = np.arange(count) * (scale / (count - 1)) + 0.5
+    share = place - np.floor(place)
+    return float((share * (1.0 - share)).mean() * ((count - 1) / scale) ** 2)
+
+
+def _around(positions: NDArray[np.float64], reach: int, count: int) -> slice:
+    """Return the B-scans that layers at rising positions are made of."""
+    return slice(max(0, int(positions[0]) - reach), min(count, int(positions[-1]) + 2 + reach))
+
+
+def _smoothed(values: NDArray[np.float32], sigma: float, axis: int) -> NDArray[np.float32]:
+    if sigma <= 0.0:
+        return values
+    return np.asarray(gaussian_filter1d(values, sigma, axis=axis, mode="nearest", truncate=3.0))
+
+
+def _between(values: NDArray[np.floating], places: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return values [n, ...] interpolated linearly along their first axis at places [m]; held at the ends."""
+    before = places.astype(np.int64).clip(0, max(len(values) - 2, 0))
+    after = np.minimum(before + 1, len(values) - 1)
+    share = np.float32(places - before).reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(values[before] * (1 - share) + values[after] * share, np.float32)
 
 
 def _interpolation(
@@ -118,18 +237,7 @@ def _interpolation(
     position = np.asarray(index) * (scale / (count - 1)) + 0.5
     cell = np.minimum(position.astype(np.int64), vertices - 2)
     share = position - cell
-    return _two_a_row(cell, share * share * (3.0 - 2.0 * share) if smooth else share, vertices)
-
-
-def _two_a_row(first: NDArray[np.int64], share: NDArray[np.float64], columns: int) -> sparse.csr_matrix:
-    row = np.arange(len(first))
-    entries = np.r_[1.0 - share, share], (np.r_[row, row], np.r_[first, first + 1])
-    return sparse.csr_matrix(sparse.coo_matrix(entries, shape=(len(first), columns)), dtype=np.float32)
-
-
-def _check_dense(number: int, level: GridLevel) -> None:
-    if not level.dense:
-        raise TrainingError(
-            f"expected levels that store every vertex, got level {number} with {level.size} shared rows; raise "
-            "log2_table_size, or learn from voxels"
-        )
+    share = share * share * (3.0 - 2.0 * share) if smooth else share
+    row = np.arange(len(cell))
+    entries = np.r_[1.0 - share, share], (np.r_[row, row], np.r_[cell, cell + 1])
+    return sparse.csr_matrix(sparse.coo_matrix(entries, shape=(len(cell), vertices)), dtype=np.float32)

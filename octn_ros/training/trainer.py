@@ -13,6 +13,7 @@ from octn_ros.training.config import FitConfig
 from octn_ros.training.neighbour_trainer import NeighbourTrainer
 from octn_ros.training.point_trainer import PointTrainer
 from octn_ros.training.sampling import ResidentVoxels, VoxelSampler
+from octn_ros.training.tissue_sheet import TissueSheet
 from octn_ros.volume import Volume
 
 
@@ -57,6 +58,7 @@ def make_trainer(
     backend: Backend,
     cancelled: Callable[[], bool],
     *,
+    sheet: TissueSheet | None,
     warm: bool,
 ) -> Trainer:
     """Return what fits a model.
@@ -68,10 +70,11 @@ def make_trainer(
         config: parameters of Algorithm 1.
         backend: that of `backend_of_fit`.
         cancelled: asked while the trainer is made.
+        sheet: what the tissue follows, which learning from neighbours needs; None for the other objective.
         warm: whether the model has been fitted to a scan like this one.
     """
-    if config.objective == "neighbours":
-        return NeighbourTrainer(model, volume, config.batch, config.seed, cancelled, keep_network=warm)
+    if sheet is not None:
+        return NeighbourTrainer(model, volume, sheet, config.batch, config.seed, cancelled, keep_network=warm)
     if backend == "compiled":
         # Loaded here, since it brings numba along.
         from octn_ros.training.brick_trainer import BrickTrainer

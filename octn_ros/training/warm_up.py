@@ -10,6 +10,7 @@ import torch
 
 from octn_ros.field import FieldDescription, NeuralField, NeuralFieldConfig, NeuralModel
 from octn_ros.training.config import PRESETS, FitConfig
+from octn_ros.training.resampling import resampled
 from octn_ros.training.sampling import ResidentVoxels
 from octn_ros.training.trainer import backend_of_fit, make_trainer
 from octn_ros.volume import Volume
@@ -32,13 +33,16 @@ def warm_up(config: FitConfig, device: str | torch.device = "cpu") -> None:
     try:
         field = _made_field(config.field, torch.device(device))
         backend = backend_of_fit(field.model, config)
-        if backend in ("compiled", "triton"):
+        if config.objective == "neighbours":
+            line = np.zeros((1, 2, 1), np.float32)
+            resampled(line, line[0, :, 0], line[:, 0])
+        elif backend in ("compiled", "triton"):
             field.model.requires_grad_(True)
             small = dataclasses.replace(config, batch=_SAMPLES, alpha=0.0)
             for voxel_type in _VOXEL_TYPES:
                 volume = _made_volume(voxel_type)
                 voxels = ResidentVoxels(volume, field.device)
-                trainer = make_trainer(field.model, volume, voxels, small, backend, _never, warm=False)
+                trainer = make_trainer(field.model, volume, voxels, small, backend, _never, sheet=None, warm=False)
             trainer.step(config.learning_rate, 0.0, _never)
             field.model.requires_grad_(False)
         _ask(field)

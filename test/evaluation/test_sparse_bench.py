@@ -59,6 +59,9 @@ def test_figures_by_hand():
     assert perfect.truth_psnr_db == math.inf
     assert perfect.truth_epi == pytest.approx(1.0)
     assert perfect.truth_chamfer_um == 0.0
+    assert perfect.truth_rise == 1.0
+    half = 0.5 + 0.5 * phantom.truth.normalized(slice(None))
+    assert judge.judge(half).truth_rise == pytest.approx(0.5)
 
 
 def test_held_out_bscans_are_seen_by_no_method(monkeypatch):

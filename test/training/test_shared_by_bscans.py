@@ -14,7 +14,8 @@ from octn_ros.metrics import psnr_db
 from octn_ros.simulation import make_phantom, named_phantom
 from octn_ros.training import PRESETS, fit
 from octn_ros.training.neighbour_trainer import NeighbourTrainer
-from octn_ros.training.scale_space import features_between, fill_with_scales
+from octn_ros.training.scale_space import features_between, fill_with_scales, level_averages
+from octn_ros.training.tissue_sheet import TissueSheet
 from octn_ros.volume import Volume, gaussian_filter
 
 SPARSE = PRESETS["sparse"]
@@ -45,28 +46,45 @@ def random_volume(shape=SHAPE, seed=0):
     return volume_of(np.random.default_rng(seed).random(shape))
 
 
+def wavy_sheet(shape):
+    bscan, lateral = np.meshgrid(np.arange(shape[0]), np.arange(shape[2]), indexing="ij")
+    return TissueSheet(0.3 * shape[1] * (1.0 + 0.5 * np.sin(0.7 * bscan + 0.2 * lateral)))
+
+
+def flat_sheet(shape):
+    return TissueSheet(np.full((shape[0], shape[2]), 7.0))
+
+
 def test_levels_keep_bscans_and_depths_apart_and_double_across_the_beam():
-    """One cell from each B-scan to the next and as many along the beam at every level, whatever the longest axis."""
+    """One cell from each B-scan to the next and from voxel to voxel along the beam at every level, whatever the longest
+    axis; averages are as wide as the cells."""
     for shape in [(9, 40, 24), (200, 40, 24)]:
         lateral, axial, bscan = zip(*SPARSE.field.grid.level_scales(shape), strict=True)
         assert bscan == (shape[0] - 1,) * 3
-        np.testing.assert_allclose(axial, [1.4 * 40 - 1] * 3)
-        np.testing.assert_allclose(lateral, [0.7 * 24 / 2**k - 1 for k in (2, 1, 0)])
+        np.testing.assert_allclose(axial, [40 - 1] * 3)
+        np.testing.assert_allclose(lateral, [24 / 2**k - 1 for k in (2, 1, 0)])
+        averages = level_averages(model_of(shape).grid.grid_levels, shape)
+        assert [along.lateral for along, _ in averages] == [5.0, 2.5, 0.0]
+        assert [(place.lateral, place.axial) for _, place in averages] == [(8.0, 3.0), (4.0, 1.5), (0.0, 0.0)]
+        assert [(along.axial, along.slow, place.slow) for along, place in averages] == [(0, 2, 2), (0, 1, 1), (0, 0, 0)]
     with pytest.raises(ConfigurationError, match="lateral_growth"):
         HashGridConfig(lateral_growth=0.5)
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "smoothstep"])
-@pytest.mark.parametrize("cells", [1.0, 2.0])
-def test_what_a_bscan_is_predicted_from_is_a_filled_grid(interpolation, cells):
-    """The short way, sums of B-scans, equals a table made of the same B-scans and asked at the voxels between them."""
+@pytest.mark.parametrize("cells", [1.0, 3.0])
+@pytest.mark.parametrize("sheet_of", [flat_sheet, wavy_sheet])
+def test_what_a_bscan_is_predicted_from_is_a_filled_grid(interpolation, cells, sheet_of):
+    """The short way, two layers, equals a table made of the same B-scans and asked at the voxels between them."""
     volume = random_volume((6, 21, 17))
-    grid = model_of(volume.geometry.shape, features=3, cells_per_bscan=cells, interpolation=interpolation).grid
-    assert fill_with_scales(grid, lambda bscan: volume.array[bscan], volume.geometry.shape, never)
+    sheet = sheet_of(volume.geometry.shape)
+    grid = model_of(volume.geometry.shape, cells_per_bscan=cells, interpolation=interpolation).grid
+    assert fill_with_scales(grid, volume.normalized, sheet, volume.geometry.shape, never)
     for position in (2.5, 1.0, 4.75):
         lateral, axial = torch.linspace(-1, 1, 17), torch.linspace(-1, 1, 21)
         asked = grid.forward_lattice(lateral, axial, torch.tensor([position / 2.5 - 1.0]))
-        short = features_between(grid.grid_levels, 3, list(volume.array), position)
+        depth = sheet.at(np.array([position]))[0]
+        short = features_between(grid.grid_levels, volume.array, sheet, position, depth)
         np.testing.assert_allclose(short, asked.reshape(-1, grid.width).numpy(), atol=2e-5)
 
 
@@ -75,20 +93,49 @@ def test_every_scale_of_a_linear_volume_is_the_volume():
     z, y, x = np.meshgrid(*(np.linspace(0, 1, n) for n in (10, 80, 120)), indexing="ij")
     volume = volume_of(0.1 + 0.3 * z + 0.2 * y + 0.3 * x)
     grid = model_of(volume.geometry.shape).grid
-    fill_with_scales(grid, lambda bscan: volume.array[bscan], volume.geometry.shape, never)
+    fill_with_scales(grid, volume.normalized, flat_sheet(volume.geometry.shape), volume.geometry.shape, never)
     axes = [torch.linspace(-1, 1, n) for n in (120, 80, 10)]
     inside = (slice(3, -3), slice(20, -20), slice(40, -40))
     features = grid.forward_lattice(*axes)[inside].numpy()
     np.testing.assert_allclose(features, np.broadcast_to(volume.array[inside][..., None], features.shape), atol=5e-3)
 
 
+def test_a_table_made_slab_by_slab_is_the_same(monkeypatch):
+    """Scans too large to be worked on at once: slabs see as much of their neighbours as the widest average does."""
+    volume = random_volume((23, 20, 16))
+    tables = []
+    for voxels in (1 << 23, 4 * 20 * 16):
+        monkeypatch.setattr("octn_ros.training.scale_space._SLAB_VOXELS", voxels)
+        grid = model_of(volume.geometry.shape, cells_per_bscan=3.0).grid
+        assert fill_with_scales(grid, volume.normalized, wavy_sheet((23, 20, 16)), (23, 20, 16), never)
+        tables.append(grid.table.detach().numpy())
+    np.testing.assert_allclose(tables[1], tables[0], atol=1e-6)
+
+
+def test_along_a_sheet_tissue_that_follows_it_is_kept_whole():
+    """Layers on a slope: however wide the average along them, they stay as they are, and in place they blur."""
+    shape = (20, 110, 64)
+    sheet = TissueSheet(np.float64(20.0 + 1.5 * np.arange(20)[:, None] + 0.3 * np.arange(64)[None, :]))
+    below = np.arange(110)[None, :, None] - sheet.depth[:, None, :]
+    volume = volume_of(0.5 + 0.4 * np.sin(0.5 * below))
+    grid = model_of(shape, cells_per_bscan=2.0).grid
+    assert fill_with_scales(grid, volume.normalized, sheet, shape, never)
+    axes = [torch.linspace(-1, 1, n) for n in (64, 110, 20)]
+    inside = (slice(7, -7), slice(40, -40), slice(20, -20))
+    coarsest = grid.forward_lattice(*axes)[inside].numpy()[..., :2]
+    wrong = [np.abs(coarsest[..., feature] - volume.array[inside]).max() for feature in range(2)]
+    assert wrong[0] < 0.03
+    assert wrong[1] > 0.3
+
+
 def test_a_bscan_is_never_predicted_from_itself():
     """Predictions of a B-scan stay as they are when its own voxels change, and those of its neighbours do not."""
     volume = random_volume()
+    sheet = wavy_sheet(SHAPE)
     other = volume.array.copy()
     other[4] = 1.0 - other[4]
     model = model_of(SHAPE)
-    trainers = [NeighbourTrainer(model, v, 64, 0, never) for v in (volume, volume_of(other))]
+    trainers = [NeighbourTrainer(model, v, sheet, 64, 0, never) for v in (volume, volume_of(other))]
     samples = SHAPE[1] * SHAPE[2]
     # Whitening mixes all samples: undone here.
     features = [t._features.numpy() @ np.linalg.inv(t._to_white.numpy()) + t._mean.numpy() for t in trainers]
@@ -131,7 +178,7 @@ def test_the_network_that_was_learned_is_the_models():
     """Whitening is only a way to learn: model and trainer agree, and steps make the prediction better."""
     phantom = make_phantom(named_phantom("wavy-13dB-averaged", shape=(17, 64, 32)))
     model = model_of(phantom.volume.geometry.shape)
-    trainer = NeighbourTrainer(model, phantom.volume, 4096, 0, never)
+    trainer = NeighbourTrainer(model, phantom.volume, TissueSheet.of(phantom.volume, never), 4096, 0, never)
     points = torch.rand(50, 3) * 2 - 1
     trainer.evaluate(points)
     with torch.no_grad():
@@ -178,6 +225,9 @@ def test_what_cannot_be_learned_from_neighbours_is_refused():
     hashed = dataclasses.replace(SPARSE.field.grid, log2_table_size=6)
     with pytest.raises(TrainingError, match="every vertex"):
         fit(random_volume(), dataclasses.replace(QUICK, field=NeuralFieldConfig(hashed, SPARSE.field.network)))
+    three = dataclasses.replace(SPARSE.field.grid, features=3)
+    with pytest.raises(TrainingError, match="2 features"):
+        fit(random_volume(), dataclasses.replace(QUICK, field=NeuralFieldConfig(three, SPARSE.field.network)))
     with pytest.raises(ConfigurationError, match="start_from_data"):
         dataclasses.replace(SPARSE, start_from_data=False)
 
