@@ -20,9 +20,10 @@ _LATERAL_SIGMA, _AXIAL_SIGMA = 2.0, 2.0
 # What a voxel of depth from one A-scan to the next costs, as a share of a typical rise.
 _PRICE_PER_VOXEL = 0.1
 _MEDIAN_ASCANS = 9  # keeps steps sharp
-# Least share of an error of prediction that is expected at half the distance: what is smooth loses more, but a share
-# of nothing would let a network trust the sheet blindly.
-_LEAST_SHARE = 1.0 / 16.0
+# Share of an error of prediction that is expected at half the distance. At least: what is smooth loses more, but a
+# share of nothing would let a network trust the sheet blindly. At most: that of a random walk, the roughest that goes
+# on from B-scan to B-scan; where neighbours are too far apart to tell, what is measured would be the whole of it.
+_LEAST_SHARE, _MOST_SHARE = 1.0 / 16.0, 0.5
 # In standard deviations, the median's: errors beyond this are leaps, which are as large at any distance.
 _LEAP = 3.0
 _MOST_CELLS = 8.0  # from one B-scan to the next
@@ -79,16 +80,16 @@ class TissueSheet:
     def share_at_half_distance(self) -> float:
         """What is left, at half the distance between B-scans, of an error of `at`.
 
-        From how second differences grow when the distance doubles: fourfold on smooth tissue, not at all on rough
-        tissue, whose errors do not shrink. The interpolation is better by one order than a straight line, so the
-        square of that ratio is taken.
+        From how second differences grow when the distance doubles: fourfold on smooth tissue, by the square root of
+        two on a random walk. The interpolation is better by one order than a straight line, so the square of that
+        ratio is taken.
         """
         depth = self.depth
         if len(depth) < 5:
-            return 1.0
+            return _MOST_SHARE
         near = np.square(depth[:-2] - 2.0 * depth[1:-1] + depth[2:]).mean()
         far = np.square(depth[:-4] - 2.0 * depth[2:-2] + depth[4:]).mean()
-        return float(np.clip(near / far, _LEAST_SHARE, 1.0)) if far > 0.0 else 1.0
+        return float(np.clip(near / far, _LEAST_SHARE, _MOST_SHARE)) if far > 0.0 else _MOST_SHARE
 
     def as_if_between(self, bscan: int, neighbours: Sequence[int]) -> NDArray[np.float64]:
         """Return the depth [lateral] in a B-scan with the error that it has between B-scans at their own distance.
