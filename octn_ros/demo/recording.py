@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterable
 from functools import partial
@@ -61,7 +62,7 @@ class Recording:
         for name, topic in topics.items():
             kind = type_name(topic.msg_type)
             schema = self._writer.register_schema(kind, "ros2msg", schemas[name].encode())
-            channel = self._writer.register_channel(name, "cdr", schema)
+            channel = self._writer.register_channel(name, "cdr", schema, _offered(topic.qos_profile))
             write, profile = partial(self._write, channel), _profile(topic.qos_profile)
             heard.append(self._node.create_subscription(topic.msg_type, name, write, profile, raw=True))
         self._executor = SingleThreadedExecutor()
@@ -128,6 +129,23 @@ def _definition(kind: str) -> str:
             f"a recording needs the package {error.name}: pip install 'octn_ros[record]', or mcap and rosbags by name"
         ) from error
     return str(get_typestore(Stores.ROS2_JAZZY).generate_msgdef(kind, ros_version=2)[0])
+
+
+def _offered(profile: QoSProfile) -> dict[str, str]:
+    """Return what `ros2 bag play` offers a topic with: played volatile, a latched one would reach no latched reader."""
+    unspecified = {"sec": 0, "nsec": 0}
+    offer = {
+        "history": int(profile.history),
+        "depth": profile.depth,
+        "reliability": int(profile.reliability),
+        "durability": int(profile.durability),
+        "deadline": unspecified,
+        "lifespan": unspecified,
+        "liveliness": 1,  # automatic
+        "liveliness_lease_duration": unspecified,
+        "avoid_ros_namespace_conventions": False,
+    }
+    return {"offered_qos_profiles": json.dumps([offer])}  # JSON is YAML, which rosbag2 reads
 
 
 def _profile(offered: QoSProfile) -> QoSProfile:

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from octn_ros.cli import main
@@ -48,6 +50,12 @@ def test_a_demo_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert summary.statistics.message_count == len(found)
     topics = {channel.topic for channel in summary.channels.values()}
     assert {"/octn/field", "/octn/surface", "/octn/plan_markers", "/tf", "/diagnostics"} < topics
+    offered = {c.topic: yaml.safe_load(c.metadata["offered_qos_profiles"])[0] for c in summary.channels.values()}
+    assert {kept for kept, qos in offered.items() if qos["durability"] == DurabilityPolicy.TRANSIENT_LOCAL} > {
+        f"/octn/{name}" for name in ("enface", "field", "surface", "waypoints_oct", "path", "plan_markers")
+    }
+    assert offered["/tf"]["durability"] == offered["/octn/bscan"]["durability"] == DurabilityPolicy.VOLATILE
+    assert {qos["reliability"] for qos in offered.values()} == {ReliabilityPolicy.RELIABLE}
     counts = Counter(topic for topic, _, _ in found)
     assert counts["/octn/bscan"] == counts["/octn/bscan_pose"] == result["bscans"]
     assert counts["/tf_static"] == 1  # latched before the recorder came
