@@ -6,7 +6,7 @@ import octn_ros.nodes  # noqa: F401 - makes the message packages importable wher
 
 # isort: split
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.srv import GetPlan
+from nav_msgs.srv import GetPlan, LoadMap
 from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.demo.graph import DemoError
@@ -41,6 +41,22 @@ def enable_laser(client: GraphClient) -> None:
     response = client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S)
     if not response.success:
         raise DemoError(f"enable_laser: {response.message}")
+
+
+def publish_slice(client: GraphClient, cut: str) -> None:
+    """Have the field cut and the cut published on `slice`.
+
+    Args:
+        client: asks.
+        cut: where, in the words of `query_slice`, such as `bscan:63.5`.
+
+    Raises:
+        DemoError: the query node refuses; the reason is in its log.
+        TimeoutError: it does not answer.
+    """
+    response = client.call(LoadMap, "query_slice", LoadMap.Request(map_url=cut), ANSWER_S)
+    if response.result != LoadMap.Response.RESULT_SUCCESS:
+        raise DemoError(f"query_slice {cut}: refused with code {response.result}; the query node's log says why")
 
 
 def plan_rectangle(

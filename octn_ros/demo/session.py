@@ -21,7 +21,7 @@ from sensor_msgs.msg import CompressedImage, PointCloud2
 from octn_ros.demo.graph import DemoError, demo_graph
 from octn_ros.demo.pictures import FitPoint
 from octn_ros.demo.rectangle import centred_rectangle
-from octn_ros.demo.services import ANSWER_S, enable_laser, plan_rectangle, trigger
+from octn_ros.demo.services import ANSWER_S, enable_laser, plan_rectangle, publish_slice, trigger
 from octn_ros.demo.source import ScanSource
 from octn_ros.field import Field, field_hash, loads_field
 from octn_ros.nodes import conversions, qos, status
@@ -115,6 +115,10 @@ def run_session(
             show("planning", 0.0, "")
             plan = _plan(client, ears, source.volume.geometry, identity)
             waypoints_oct, tool_path = _waypoints(ears, plan)
+            if record is not None:  # nothing else of the demo asks for them, and a viewer has a place for each
+                middle = (source.volume.geometry.shape[0] - 1) / 2
+                publish_slice(client, f"bscan:{middle:g}")
+                trigger(client, "query_band")
         with watch.part("execute"):
             execution = _execute(client, ears, show)
         return SessionRecord(

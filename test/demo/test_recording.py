@@ -60,11 +60,15 @@ def test_a_demo_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert counts["/octn/bscan"] == counts["/octn/bscan_pose"] == result["bscans"]
     assert counts["/tf_static"] == 1  # latched before the recorder came
     assert counts["/tf"] > 10
+    assert counts["/octn/slice"] == 1
+    assert counts["/octn/band"] >= 1
     of = {topic: [message for name, _, message in found if name == topic] for topic in counts}
     # What the demo says of its run lies in the file: the field by its hash, each waypoint, each B-scan's grey levels.
     assert field_hash(bytes(of["/octn/field"][-1].data)) == result["field_hash"]
     assert loads_field(bytes(of["/octn/field"][-1].data)).geometry.shape[0] == result["bscans"]
     assert len(of["/octn/waypoints"][-1].poses) == of["/octn/tool_path"][-1].width == result["waypoints"]
+    assert of["/octn/slice"][0].encoding == "32FC1"
+    assert of["/octn/band"][-1].width > 0
     image = of["/octn/bscan"][3]
     assert np.frombuffer(bytes(image.data), np.uint8).size == image.step * image.height
     children = {transform.child_frame_id for transform in of["/tf_static"][0].transforms}
