@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from octn_ros.evaluation import alpha, bscan, curve
+from octn_ros.evaluation import alpha, bscan, curve, sparse
 from octn_ros.evaluation.registry import MODULES
 
 PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
@@ -16,12 +16,12 @@ def test_every_benchmark_is_on_the_page():
     assert named - {"all"} == set(MODULES) - {"all"}
 
 
-@pytest.mark.parametrize("module", [alpha, bscan])
+@pytest.mark.parametrize("module", [alpha, bscan, sparse])
 def test_keys_of_the_page_are_columns(module):
     name = module.__name__.rpartition(".")[2]
     section = re.search(rf"^## {name}:.*?(?=^## |\Z)", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     assert section is not None
-    keys = set(re.findall(r"`([a-z_]+_db|roi|variant|preset|epi|ssim)`", section[0]))
+    keys = set(re.findall(r"`([a-z_]+_(?:db|um|epi|rise)|roi|variant|preset|epi|ssim)`", section[0]))
     assert keys
     assert keys <= {column.key for column in module.COLUMNS}
 
