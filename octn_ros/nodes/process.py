@@ -43,13 +43,14 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         return 2
     node, code = None, 1  # of an error that comes out
     try:
+        # Before the node says that it is ready: rclpy complains of an executor that a signal leaves half made.
+        executor = MultiThreadedExecutor(num_threads=THREADS)
         node = make_node()
         # What was imported and made so far stays, so the collector need not walk through it again and again; and it
         # looks less often than at every 700 new objects: a path of 10,000 poses is 40,000 of them, and takes four
         # times as long to make where the collector counts them.
         gc.freeze()
         gc.set_threshold(NEW_OBJECTS)
-        executor = MultiThreadedExecutor(num_threads=THREADS)
         executor.add_node(node)
         executor.spin()
         code = 0
