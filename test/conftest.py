@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import threading
 import uuid
@@ -174,3 +175,31 @@ def spin(ros: None) -> Iterator[Callable[..., Any]]:
         node.destroy_node()
     executor.shutdown()
     assert background.fault is None
+
+
+def _shell_blocks(page: Path) -> list[tuple[str, str]]:
+    text = page.read_text(encoding="utf-8")
+    return re.findall(r"(?:<!-- ([^>]*) -->\n)?```sh\n(.*?)```", text, re.DOTALL)
+
+
+def _shell_commands(block: str) -> list[str]:
+    found: list[str] = []
+    for line in block.splitlines():
+        quotes = found and (found[-1].count('"') - found[-1].count('\\"')) % 2
+        if quotes or (found and found[-1].endswith("\\")):
+            found[-1] = found[-1].removesuffix("\\") + "\n" * bool(quotes) + line
+        elif line.strip():
+            found.append(line)
+    return found
+
+
+@pytest.fixture(scope="session")
+def shell_blocks() -> Callable[[Path], list[tuple[str, str]]]:
+    """(what its mark says, text) of each shell block of a page."""
+    return _shell_blocks
+
+
+@pytest.fixture(scope="session")
+def shell_commands() -> Callable[[str], list[str]]:
+    """The commands of a block, lines that belong together joined, empty ones left out."""
+    return _shell_commands

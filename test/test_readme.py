@@ -1,8 +1,8 @@
 """README and pages: every shell block is run here, or says who runs it; every link and every option exists.
 
-Marks: `test: NAME` is run by a test as it stands; `ros` by whoever has ROS 2 (the same calls: integration/
-test_ros2_cli.py); of `terminals` each line is a process that a test starts (integration/test_node_processes.py,
-test_connecting.py, demo/test_demo.py); `install` is the CI step itself, from a bare checkout.
+Marks: `test: NAME` is run by a test as it stands, `ros` too where there is ROS 2 (integration/test_ros2_pages.py); of
+`terminals` each line is a process that a test starts (integration/test_node_processes.py, test_connecting.py,
+demo/test_demo.py); `install` is the CI step itself, from a bare checkout, `ros install` that of a workspace.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,31 +27,13 @@ MARKED = [
     REPOSITORY / name
     for name in ("README.md", "docs/connecting.md", "docs/troubleshooting.md", "docs/security.md")
 ]  # fmt: skip
-RUN_BY = re.compile(r"test: \w+|ros|terminals|install")
+RUN_BY = re.compile(r"test: \w+|ros|terminals|install|ros install")
 SMALL_SCAN = "make_phantom(PhantomConfig(shape=(16, 48, 40), wave_amplitude_m=20e-6))"
 
 
-def blocks(page: Path) -> Iterator[tuple[str, str]]:
-    """(what its mark says, text) of each shell block."""
-    text = page.read_text(encoding="utf-8")
-    yield from re.findall(r"(?:<!-- ([^>]*) -->\n)?```sh\n(.*?)```", text, re.DOTALL)
-
-
-def commands(block: str) -> list[str]:
-    """The commands of a block, lines that belong together joined, remarks left out."""
-    found: list[str] = []
-    for line in block.splitlines():
-        quotes = found and (found[-1].count('"') - found[-1].count('\\"')) % 2
-        if quotes or (found and found[-1].endswith("\\")):
-            found[-1] = found[-1].removesuffix("\\") + "\n" * bool(quotes) + line
-        elif line.strip():
-            found.append(line)
-    return found
-
-
 @pytest.mark.parametrize("page", MARKED, ids=lambda page: page.stem)
-def test_every_block_says_who_runs_it(page: Path) -> None:
-    for mark, block in blocks(page):
+def test_every_block_says_who_runs_it(shell_blocks: Callable[..., Any], page: Path) -> None:
+    for mark, block in shell_blocks(page):
         assert RUN_BY.fullmatch(mark), f"{page.name}: a shell block without a mark:\n{block}"
     # An indented block would slip past; README and these pages have none.
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
@@ -65,12 +48,14 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 
 @pytest.mark.timeout(300)
-def test_the_step_by_step_block_runs_as_it_stands(tmp_path: Path) -> None:
+def test_the_step_by_step_block_runs_as_it_stands(
+    shell_blocks: Callable[..., Any], shell_commands: Callable[..., Any], tmp_path: Path
+) -> None:
     """All of it, in the shell, in a folder of its own; only the phantom is a small one and the fit a short one."""
-    (block,) = [text for mark, text in blocks(REPOSITORY / "README.md") if mark == "test: steps"]
+    (block,) = [text for mark, text in shell_blocks(REPOSITORY / "README.md") if mark == "test: steps"]
     small = block.replace("make_phantom()", SMALL_SCAN).replace("import make", "import PhantomConfig, make")
     assert small != block
-    lines = [line for line in commands(small) if "activate" not in line and "--device cuda" not in line]
+    lines = [line for line in shell_commands(small) if "activate" not in line and "--device cuda" not in line]
     assert len(lines) >= 8
     fit = [number for number, line in enumerate(lines) if line.startswith("octn fit")]
     assert fit
