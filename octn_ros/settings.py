@@ -14,6 +14,8 @@ from octn_ros.errors import ConfigurationError
 
 T = TypeVar("T")
 
+SMALLEST_SPACING_UM = 0.1  # finer than any OCT system resolves; what is below has been given in millimetres
+
 
 def setting(
     default: Any,
@@ -55,6 +57,20 @@ def check_settings(config: Any) -> None:
         _check_type(name, value, hints[field.name])
         for item in value if isinstance(value, tuple) else (value,):
             _check_value(name, item, field.metadata)
+
+
+def check_micrometres(name: str, spacing_um: tuple[float, ...]) -> None:
+    """Check that voxel spacings are micrometres and not millimetres; 0, not stated, is passed over.
+
+    Raises:
+        ConfigurationError: one is too small.
+    """
+    for given in spacing_um:
+        if 0.0 < given < SMALLEST_SPACING_UM:
+            raise ConfigurationError(
+                f"{name}: expected micrometres, {SMALLEST_SPACING_UM:g} or more, got {given:g}; millimetres are "
+                "multiplied by 1000"
+            )
 
 
 def as_plain(config: Any) -> dict[str, Any]:

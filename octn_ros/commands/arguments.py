@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from octn_ros.commands.terminal import CommandError
-
-SMALLEST_SPACING_UM = 0.1  # finer than any OCT system resolves; what is below has been given in millimetres
+from octn_ros.settings import check_micrometres
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -34,15 +32,10 @@ def spacing(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
     """Return the spacing given, in micrometres along (bscan, axial, lateral).
 
     Raises:
-        CommandError: a number is no spacing in micrometres.
+        ConfigurationError: a number is no spacing in micrometres.
     """
     if arguments.spacing_um is None:
         return None
     bscan, axial, lateral = arguments.spacing_um
-    for given in arguments.spacing_um:
-        if 0.0 < given < SMALLEST_SPACING_UM:
-            raise CommandError(
-                f"--spacing-um: expected micrometres, {SMALLEST_SPACING_UM:g} or more, got {given:g}; millimetres are "
-                "multiplied by 1000"
-            )
+    check_micrometres("--spacing-um", arguments.spacing_um)
     return bscan, axial, lateral

@@ -85,6 +85,7 @@ class FitCommand:
             def show(progress: FitProgress) -> None:
                 bar.show("fitting the field", progress.fraction, _remark(progress))
 
+            bar.show("preparing the fit", 0.0, "the first time on a machine, kernels are compiled")
             result = fit(volume, config, device=device, progress=show, start=start)
         save_field(self.output, result.field)
         if self.picture is not None:

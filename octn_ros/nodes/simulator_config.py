@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from octn_ros.nodes.qos import RELIABILITIES
-from octn_ros.settings import check_settings, setting
+from octn_ros.settings import check_micrometres, check_settings, setting
 from octn_ros.simulation import default_audit_path
 
 FIXED = (
@@ -61,6 +61,7 @@ class SimulatorConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        check_micrometres("spacing_um", self.spacing_um)
 
     @property
     def audit_file(self) -> Path | None:

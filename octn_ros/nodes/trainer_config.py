@@ -9,7 +9,7 @@ from octn_ros.errors import ConfigurationError
 from octn_ros.field.device import DEVICE_DESCRIPTION
 from octn_ros.nodes.field_store import AUTO
 from octn_ros.nodes.qos import RELIABILITIES
-from octn_ros.settings import check_settings, setting
+from octn_ros.settings import check_micrometres, check_settings, setting
 from octn_ros.training import PRESETS
 from octn_ros.volume import IntensityScale
 
@@ -78,6 +78,7 @@ class TrainerConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        check_micrometres("spacing_um", self.spacing_um)
         bscan, axial, lateral = self.spacing_um
         if bool(axial) != bool(lateral) or (bscan and not axial):
             raise ConfigurationError(

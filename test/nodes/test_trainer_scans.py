@@ -395,6 +395,7 @@ def test_refit_follows_the_parameter_too(
     ("name", "value", "reason"),
     [
         ("bscan_count", 1, "at least 2 B-scans"),
+        ("spacing_um", [28.0, 0.01459, 0.014], "spacing_um: expected micrometres, 0.1 or more, got 0.01459"),
         ("bscan_count", -1, "range"),
         ("spacing_um", [28.0, 0.0, 0.0], "axial and the lateral spacing both"),
         ("spacing_um", [28.0, 14.0, 0.0], "axial and the lateral spacing both"),
