@@ -52,7 +52,7 @@ class BenchCommand:
         """Measure, write the report, print the table; return 0.
 
         Raises:
-            OctnError: an argument or the data cannot be used.
+            OctnError: an argument or the data cannot be used, or nothing at all could be measured.
         """
         if self.data is not None and not self.data.is_dir():
             raise terminal.CommandError(f"{self.data}: expected a folder of C-scans for --data")
@@ -98,6 +98,8 @@ class BenchCommand:
             _print_result(result)
             if output is not None:
                 terminal.say(f"report: {output / ('report' if self.name == 'all' else self.name)}.md")
+        if not result.rows:
+            raise terminal.CommandError("nothing could be measured; the notes of the result say why")
         return 0
 
 

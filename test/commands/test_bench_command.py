@@ -53,6 +53,18 @@ def test_the_table_is_for_people(instant, capsys):
     assert "All differs." in output
 
 
+def test_a_result_without_a_row_is_no_success(instant, monkeypatch, capsys):
+    """All scans of a folder unreadable, say: the reason is printed, and a script sees that it failed."""
+    from octn_ros.evaluation.benchmark import BenchmarkResult
+
+    empty = BenchmarkResult("raster", "a table", [], [], [], ["All differs."], ["broken.nii: damaged"], {}, {}, 0.1, {})
+    monkeypatch.setattr(sys.modules["instant_benchmark"], "run", lambda request: empty)
+    assert main(["bench", "raster"]) == 2
+    printed = capsys.readouterr()
+    assert "broken.nii: damaged" in printed.out
+    assert "octn bench: error: nothing could be measured" in printed.err
+
+
 def test_a_wide_table_is_written_out(instant, monkeypatch, capsys):
     """Thirty columns on a terminal of 80 letters: every title and every value in full."""
     from octn_ros.evaluation.benchmark import BenchmarkResult, Column
