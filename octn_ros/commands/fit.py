@@ -74,6 +74,7 @@ class FitCommand:
         from octn_ros.field import save_field
         from octn_ros.field.device import torch_device
         from octn_ros.training import fit
+        from octn_ros.training.progress import PREPARING
         from octn_ros.volume import load_volume
 
         config = self._config()
@@ -85,7 +86,7 @@ class FitCommand:
             def show(progress: FitProgress) -> None:
                 bar.show("fitting the field", progress.fraction, _remark(progress))
 
-            bar.show("preparing the fit", 0.0, "the first time on a machine, kernels are compiled")
+            bar.show(*PREPARING)
             result = fit(volume, config, device=device, progress=show, start=start)
         save_field(self.output, result.field)
         if self.picture is not None:

@@ -26,6 +26,7 @@ from octn_ros.demo.source import ScanSource
 from octn_ros.field import Field, field_hash, loads_field
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.client import GraphClient, Watch
+from octn_ros.training.progress import PREPARING
 from octn_ros.volume import VolumeGeometry
 
 # How long is waited for what, in seconds: far longer than each takes on two busy cores.
@@ -106,7 +107,7 @@ def run_session(
             show("scanning", 0.0, "")
             _scan(client, ears)
         with watch.part("fit"):
-            show("preparing the fit", 0.0, "the first time on a machine, kernels are compiled")
+            show(*PREPARING)
             client.node.create_subscription(
                 DiagnosticArray, "fit_progress", lambda message: _show_fit(message, show), qos.STREAM
             )

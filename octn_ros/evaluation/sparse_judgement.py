@@ -81,9 +81,7 @@ class SparseJudge:
             return figures
         truth, guess = self._truth[self._held_out], reconstruction[self._held_out]
         depth = self._depth(self._true_surface)[self._held_out]
-        edges = (
-            edge_preservation_index(self._truth[bscan], reconstruction[bscan]) for bscan in self._held_out.tolist()
-        )
+        edges = (edge_preservation_index(*pair) for pair in zip(truth, guess, strict=True))
         return dataclasses.replace(
             figures,
             truth_psnr_db=psnr_from_error_db(float(_squared_errors(truth, guess).mean())),

@@ -9,6 +9,8 @@ from typing import Literal
 from octn_ros.training.config import FitConfig
 
 REPORT_PERIOD_S = 0.25
+# What a bar shows before a fit's first report: title, fraction, remark.
+PREPARING = ("preparing the fit", 0.0, "the first time on a machine, kernels are compiled")
 Stage = Literal["hybrid", "discrete"]
 
 

@@ -25,7 +25,7 @@ def resampled(
     Returns:
         [bscan, row, lateral].
     """
-    shift = np.asarray(shift, np.float32)
+    shift = np.ascontiguousarray(shift, np.float32)  # a kernel is compiled for each layout
     if not numba_is_there():
         return resampled_reference(planes, rows, shift)
     # Loaded here, since it brings numba along.

@@ -112,6 +112,7 @@ def fill_with_scales(
             if mine.size == 0:
                 continue
             within = slice(int(mine[0]), int(mine[-1]) + 1)
+            sharp = sharpened(slab, _blur_of_cells(axials, level.scale[1]))
             for feature, average in enumerate(pair):
                 if cancelled():
                     return False
@@ -119,7 +120,7 @@ def fill_with_scales(
                 values = _layers(
                     level,
                     average,
-                    slab[part.start - start : part.stop - start],
+                    sharp[part.start - start : part.stop - start],
                     sheet.depth[part],
                     positions[within] - part.start,
                     sheet.at(positions[within]),
@@ -157,8 +158,9 @@ def features_between(
         used = at_place.indices
         across = _interpolation(np.arange(laterals), laterals, level.scale[0], columns, level.smooth)
         along = _interpolation(np.arange(axials), axials, level.scale[1], rows, level.smooth)
+        sharp = sharpened(planes, _blur_of_cells(axials, level.scale[1]))
         for feature, average in enumerate(pair):
-            values = _layers(level, average, planes, sheet.depth, places[used], sheet.at(places[used]) + off)
+            values = _layers(level, average, sharp, sheet.depth, places[used], sheet.at(places[used]) + off)
             plane = np.tensordot(at_place.data, values, axes=1)
             answer[..., number * FEATURES + feature] = along @ (across @ plane.T).T
     return answer.reshape(axials * laterals, -1)
@@ -177,7 +179,7 @@ def _layers(
     Args:
         level: the level.
         average: what the feature is.
-        planes: B-scans [bscan, axial, lateral] around the layers.
+        planes: B-scans [bscan, axial, lateral] around the layers, sharpened for the level's blur along the beam.
         depth: of the sheet in them [bscan, lateral].
         positions: of the layers, counted in B-scans from the first of these.
         depth_there: of the sheet in the layers [layer, lateral].
@@ -185,7 +187,6 @@ def _layers(
     _, axials, laterals = planes.shape
     column_places = _vertex_places(laterals, level.scale[0], level.vertices[0]).clip(0.0, laterals - 1.0)
     row_places = _vertex_places(axials, level.scale[1], level.vertices[1])
-    planes = sharpened(planes, _blur_of_cells(axials, level.scale[1]))
     top = 0
     if average.follows:
         above = math.floor(depth.min())  # whole, so that it does not matter which B-scans are there
