@@ -32,10 +32,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return arguments.read(arguments).run()
     except OctnError as error:
         print(f"{name}: error: {_one_line(error)}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        code = EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        code = EXIT_INTERRUPTED
+    if argv is None and "octn_ros.nodes" in sys.modules:  # a command that ran nodes, in a process that ends with it
+        from octn_ros.nodes.process import leave_workers_behind
+
+        leave_workers_behind(code)
+    return code
 
 
 class _Parser(argparse.ArgumentParser):

@@ -102,7 +102,7 @@ class PlanCommand:
         plan = plan_region(
             field,
             calibration,
-            self._region(field),
+            self._region(field, config.raster.line_spacing_m),
             config,
             field_hash="" if is_scan(self.source.file) else field_hash(self.source.file.read_bytes()),
             keep_out=keep_out,
@@ -118,19 +118,30 @@ class PlanCommand:
             config = with_setting(config, name, value)
         return config
 
-    def _region(self, field: Field) -> Region:
+    def _region(self, field: Field, line_spacing_m: float) -> Region:
         from octn_ros.demo.rectangle import centred_rectangle
         from octn_ros.planning import centred_rectangle_region, polygon_region, rectangle_region
 
         angle = math.radians(self.angle_deg)
         if self.polygon is not None:
             return polygon_region(read_polygon(self.polygon), angle)
+        if not self.region:
+            return rectangle_region(*centred_rectangle(field.geometry, angle), angle)
         first, second = (tuple(value * 1e-3 for value in place) for place in self.places)
-        if self.region == "corners":
-            return rectangle_region(first, second, angle)
-        if self.region == "centre":
-            return centred_rectangle_region(first, second, angle)
-        return rectangle_region(*centred_rectangle(field.geometry, angle), angle)
+        make_region = rectangle_region if self.region == "corners" else centred_rectangle_region
+        region = make_region(first, second, angle)
+        _refuse_metres(region, line_spacing_m)
+        return region
+
+
+def _refuse_metres(region: Region, line_spacing_m: float) -> None:
+    """What is not as wide as one line spacing either way has been given in metres."""
+    sides_m = [math.dist(region.vertices_m[0], region.vertices_m[corner]) for corner in (1, 3)]
+    if max(sides_m) < line_spacing_m:
+        raise terminal.CommandError(
+            f"expected a rectangle in millimetres, with a side of {line_spacing_m * 1e6:g} um, the line spacing, or "
+            f"more; got one of {sides_m[0] * 1e6:.3g} x {sides_m[1] * 1e6:.3g} um; metres are multiplied by 1000"
+        )
 
 
 def write_plan(path: Path, plan: Plan) -> None:

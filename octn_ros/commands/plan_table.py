@@ -17,6 +17,8 @@ def plan_figures(plan: Plan) -> dict[str, Any]:
         "leads": int((~plan.laser_on).sum()),
         "requested": plan.requested,
         "given_up": plan.given_up,
+        "lateral_m": _range(plan, 0),
+        "bscan_m": _range(plan, 1),
         "given_up_because": dict(Counter(point.reason for point in plan.given_up_points)),
         "tilt_limited": int(plan.tilt_limited.sum()),
         "tau": plan.tau,
@@ -38,6 +40,7 @@ def plan_rows(values: dict[str, Any]) -> list[tuple[str, str]]:
     lacking = f", without {', '.join(budget['not_stated'])} (not stated)" if budget["not_stated"] else ""
     rows = [
         ("waypoints", f"{values['waypoints']} of {values['requested']}, {values['given_up']} given up{because}{leads}"),
+        ("place", f"{_words(values['lateral_m'])} mm lateral, {_words(values['bscan_m'])} mm bscan, in the OCT frame"),
         ("hit rate", f"{100 * values['hit_rate']:.1f} % within 5 % of tau = {values['tau']:.3f}"),
         ("smoothness energy", f"{values['smoothness_mm2']:.4g} mm^2"),
         (
@@ -59,3 +62,13 @@ def plan_rows(values: dict[str, Any]) -> list[tuple[str, str]]:
     if values["tilt_limited"]:
         rows.insert(1, ("tilted to the limit", f"{values['tilt_limited']} waypoints"))
     return rows
+
+
+def _range(plan: Plan, axis: int) -> list[float]:
+    """Return the first and the last place on one axis of the OCT frame where the laser is on, in metres."""
+    places = plan.waypoints_oct[plan.laser_on, axis, 3]
+    return [float(places.min()), float(places.max())]
+
+
+def _words(range_m: list[float]) -> str:
+    return " to ".join(f"{place * 1e3:.3f}" for place in range_m)

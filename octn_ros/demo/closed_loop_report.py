@@ -15,7 +15,7 @@ from octn_ros.demo.closed_loop import ClosedLoopRecord, run_closed_loop
 from octn_ros.demo.closed_loop_result import ClosedLoopResult, ascan_places, closed_loop_result
 from octn_ros.demo.graph import DemoError
 from octn_ros.demo.report import ReportPicture, render_report
-from octn_ros.demo.session import TIME_FACTOR, Show, Stopwatch
+from octn_ros.demo.session import ONE_PROCESS, Show, Stopwatch
 from octn_ros.demo.source import phantom_source
 from octn_ros.demo.versions import software_versions
 from octn_ros.simulation import PhantomConfig
@@ -23,7 +23,7 @@ from octn_ros.simulation import PhantomConfig
 REPORT_NAME, AUDIT_NAME = "closed_loop.html", "audit.jsonl"
 # What the loop is not told: the platform's errors, and a tissue that takes a fifth more energy than it is taken for.
 PLATFORM: Mapping[str, Any] = {
-    "time_factor": TIME_FACTOR,
+    **ONE_PROCESS,
     "laser.heat_of_ablation_j_per_m3": 4.2e9,
     "inaccuracy.calibration_error_m": 20e-6,
     "inaccuracy.calibration_error_deg": 0.1,

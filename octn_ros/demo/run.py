@@ -16,7 +16,7 @@ from octn_ros.demo.graph import DemoError
 from octn_ros.demo.pictures import PathPicture
 from octn_ros.demo.report import ReportPicture, render_report
 from octn_ros.demo.result import DemoResult
-from octn_ros.demo.session import LINE_SPACING_M, TIME_FACTOR, SessionRecord, Show, Stopwatch, run_session
+from octn_ros.demo.session import LINE_SPACING_M, ONE_PROCESS, TIME_FACTOR, SessionRecord, Show, Stopwatch, run_session
 from octn_ros.demo.source import ScanSource
 from octn_ros.demo.versions import software_versions
 from octn_ros.query import SurfaceMapConfig, enface, surface_map
@@ -184,5 +184,5 @@ def _configuration(
             "field_hash": record.field_hash,
             "calibration": "config/calibration.yaml of the package",
         },
-        "arm": {"time_factor": TIME_FACTOR},
+        "arm": dict(ONE_PROCESS),
     }

@@ -37,6 +37,13 @@ FIT_GRACE_S = 600.0
 EXECUTION_S = 120.0
 LINE_SPACING_M = 50e-6
 TIME_FACTOR = 20.0  # the mock arm's clock runs so much faster: a raster of 3 x 3 mm takes most of a minute at 5 mm/s
+# Of the simulator in both demos. All nodes share one process, so what holds it up, such as a busy machine, holds up
+# planner, arm and laser alike: the half second that a laser beside a person is allowed would only end a show.
+ONE_PROCESS: Mapping[str, Any] = {
+    "time_factor": TIME_FACTOR,
+    "interlock.longest_stall_s": 10.0,
+    "interlock.planner_silence_s": 15.0,
+}
 
 Show = Callable[[str, float, str], None]
 
@@ -154,7 +161,7 @@ class Ears:
 
 def _parameters(source: ScanSource, fit_parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return {
-        "simulator": {**source.simulator_parameters, "time_factor": TIME_FACTOR, "audit_path": ""},
+        "simulator": {**source.simulator_parameters, **ONE_PROCESS, "audit_path": ""},
         "trainer": {**source.trainer_parameters, **fit_parameters},
     }
 

@@ -36,6 +36,8 @@ def test_a_plan_lies_on_the_surface_in_the_end_effector_frame(field_file, tmp_pa
     # The largest centred rectangle, with its margin of two voxels on every side.
     assert surface[:, :2].min(axis=0) == pytest.approx((40e-6, 60e-6), abs=1e-9)
     assert np.ptp(surface[:, :2], axis=0) == pytest.approx((220e-6, 270e-6), abs=1e-9)
+    assert values["lateral_m"] == pytest.approx([40e-6, 260e-6], abs=1e-9)
+    assert values["bscan_m"] == pytest.approx([60e-6, 330e-6], abs=1e-9)
     assert len(np.unique(surface[:, 1].round(9))) == 6
 
 
@@ -47,6 +49,7 @@ def test_a_csv_has_one_line_for_each_waypoint(field_file, tmp_path, capsys):
         lines = list(csv.DictReader(stream))
     assert tuple(lines[0]) == CSV_COLUMNS
     assert f"{len(lines)} of " in table
+    assert "0.100 to 0.200 mm lateral, 0.100 to 0.300 mm bscan" in " ".join(table.split())
     quaternions = np.array([[float(line[name]) for name in ("qx", "qy", "qz", "qw")] for line in lines])
     assert np.linalg.norm(quaternions, axis=1) == pytest.approx(1.0)
     assert {line["laser_on"] for line in lines} == {"1"}
@@ -143,6 +146,8 @@ def test_files_of_another_form_are_one_line(field_file, tmp_path, option, text, 
     [
         (("--corner-mm", "0.1", "0.1"), "--opposite-mm together"),
         (("--corner-mm", "0.1", "0.1", "--opposite-mm", "9", "0.3"), "inside the scan"),
+        (("--corner-mm", "1e-4", "1e-4", "--opposite-mm", "2e-4", "3e-4"), "metres are multiplied by 1000"),
+        (("--centre-mm", "0.2", "0.2", "--size-mm", "2e-4", "3e-4"), "got one of 0.2 x 0.3 um"),
         (("--corner-mm", "0.1", "nan", "--opposite-mm", "0.2", "0.3"), "finite"),
         (("--line-spacing-um", "nan"), "finite"),
         (("--centre-mm", "0.1", "0.1"), "--size-mm together"),
