@@ -59,7 +59,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     except (OctnError, InvalidParameterTypeException, InvalidParameterValueException) as error:
         if node is not None:
             raise  # not a matter of parameters: an error that a callback should have caught
-        rclpy.logging.get_logger("octn_ros").fatal(str(error))
+        rclpy.logging.get_logger("octn_ros").fatal(f"{error}{_remedy(error)}")
         code = 2
     except Exception:
         # A signal between the executor's look at the context and its wait makes Jazzy raise RCLError, which rclpy
@@ -75,6 +75,12 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         _ignore_signals()  # rclpy has put back the handlers from before
         leave_workers_behind(code)
     return code
+
+
+def _remedy(error: Exception) -> str:
+    """The most common slip: ROS 2 takes a number without a point for an integer, and no integer for a float."""
+    slip = isinstance(error, InvalidParameterTypeException) and "'INTEGER'" in str(error) and "DOUBLE" in str(error)
+    return "; a number without decimals is given with a point, as 50.0" if slip else ""
 
 
 def _ignore_signals() -> None:
