@@ -11,12 +11,16 @@ from octn_ros.commands import arguments as common
 from octn_ros.commands import terminal
 
 if TYPE_CHECKING:
-    from octn_ros.evaluation.benchmark import BenchmarkResult
+    from rich.table import Table
+
+    from octn_ros.evaluation.benchmark import BenchmarkResult, Column
 
 # Named here too, so that the help needs no torch; a test holds them against octn_ros.evaluation.registry.MODULES.
 BENCHMARK_NAMES = ("all", "alpha", "band", "bscan", "compare", "curve", "raster", "slices", "sparse", "speed")
 _REGION_BENCHMARKS = ("bscan",)
 _TABLE_WIDTH = 2000  # more than any table needs
+_LABELS = 2  # columns that say what a row is about, the scan and how much of it is used
+_PADDING = 3  # letters between two columns
 
 
 @dataclass(frozen=True)
@@ -152,22 +156,56 @@ def _read(arguments: argparse.Namespace) -> BenchCommand:
 
 def _print_result(result: BenchmarkResult) -> None:
     """Print the table, the paper's rows below it, and what differs from the paper's protocol."""
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(title=f"{result.name}: {result.title}", title_justify="left", box=box.SIMPLE_HEAD)
-    for index, column in enumerate(result.columns):
-        table.add_column(column.title, justify="left" if index < 3 else "right", no_wrap=True)
-    for row in result.rows:
-        table.add_row(*(column.text(row) for column in result.columns))
-    table.add_section()
-    for row in result.paper:
-        table.add_row(*(column.text(row) for column in result.columns), style="dim")
     console = Console(highlight=False)
     for key, value in result.figures.items():
         console.print(f"{key}: {value if isinstance(value, bool) else f'{value:.4g}'}", markup=False)
-    # A terminal can scroll or wrap a wide table; columns squeezed to two letters nobody can read.
-    Console(highlight=False, width=_TABLE_WIDTH).print(table)
+    # What is no terminal gets all columns beside each other, in full, however many they are.
+    wide = Console(highlight=False, width=_TABLE_WIDTH)
+    title = f"{result.name}: {result.title}"
+    for columns in _side_by_side(result, console.width if console.is_terminal else _TABLE_WIDTH):
+        wide.print(_table(title, result, columns))
+        title = ""
     for sentence in (*result.notes, *result.deviations):
         console.print(f"- {sentence}", markup=False)
+
+
+def _side_by_side(result: BenchmarkResult, width: int) -> list[list[Column]]:
+    """Return the columns that one row holds, in tables below each other where they are wider than a terminal.
+
+    Each table begins with the columns that say what a row is about. Columns without any value are left out.
+    """
+    from octn_ros.evaluation.benchmark import filled_columns
+
+    rows = [*result.rows, *result.paper]
+    columns = filled_columns(rows, result.columns)
+    labels, others = columns[:_LABELS], columns[_LABELS:]
+    sizes = {
+        column.key: _PADDING + max(len(column.title), *(len(column.text(row)) for row in rows)) for column in columns
+    }
+    first = sum(sizes[column.key] for column in labels)
+    tables, used = [list(labels)], first
+    for column in others:
+        if used + sizes[column.key] > width and len(tables[-1]) > len(labels):
+            tables.append(list(labels))
+            used = first
+        tables[-1].append(column)
+        used += sizes[column.key]
+    return tables
+
+
+def _table(title: str, result: BenchmarkResult, columns: list[Column]) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD)
+    for column in columns:
+        words = any(isinstance(row.get(column.key), str) for row in result.rows)
+        table.add_column(column.title, justify="left" if words else "right", no_wrap=True)
+    for row in result.rows:
+        table.add_row(*(column.text(row) for column in columns))
+    table.add_section()
+    for row in result.paper:
+        table.add_row(*(column.text(row) for column in columns), style="dim")
+    return table

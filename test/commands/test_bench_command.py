@@ -1,6 +1,7 @@
 """`octn bench`: JSON, table and report files of a benchmark that takes no time, and what it refuses."""
 
 import json
+import re
 import sys
 import types
 
@@ -78,6 +79,27 @@ def test_a_wide_table_is_written_out(instant, monkeypatch, capsys):
     for i in range(30):
         assert f"a rather long title {i}" in output
         assert str(1000 + i) in output
+    assert output.count("a rather long title 0") == 1, "what is no terminal gets one table"
+
+
+def test_a_wide_table_on_a_terminal_goes_on_below(instant, monkeypatch, capsys):
+    """Each part begins with what a row is about, and none is wider than the terminal."""
+    from octn_ros.evaluation.benchmark import BenchmarkResult, Column
+
+    columns = [Column("scan", "scan"), *(Column(f"k{i}", f"long title {i}") for i in range(12)), Column("no", "empty")]
+    row = {"scan": "wavy", **{f"k{i}": 1000 + i for i in range(12)}}
+    wide = BenchmarkResult("raster", "wide", [row], columns, [{"scan": "paper", "k3": 7}], [], [], {}, {}, 0.1)
+    monkeypatch.setattr(sys.modules["instant_benchmark"], "run", lambda request: wide)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["bench", "raster"]) == 0
+    output = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert output.count("wavy") == output.count("paper") == output.count("long title 0") > 1
+    for i in range(12):
+        assert f"long title {i}" in output
+        assert str(1000 + i) in output
+    assert "empty" not in output
+    assert max(map(len, output.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(
