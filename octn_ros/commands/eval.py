@@ -46,6 +46,10 @@ class EvalCommand:
         Raises:
             OctnError: an argument or a file cannot be used, or the geometries differ.
         """
+        if not sources.is_scan(self.volume):
+            raise terminal.CommandError(
+                f"{self.volume}: expected the C-scan second, got a field; the field comes first: octn eval FIELD VOLUME"
+            )
         if self.picture is not None:
             if self.picture.suffix != ".png":
                 raise terminal.CommandError(f"{self.picture}: expected a picture to write as .png")

@@ -44,6 +44,11 @@ def test_the_table_is_for_people(field_file, capsys):
         assert word in output
 
 
+def test_arguments_in_the_wrong_order_are_told_apart(tmp_path, capsys):
+    assert run(tmp_path / "scan.nii", tmp_path / "field.safetensors") == 2
+    assert "octn eval FIELD VOLUME" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
