@@ -16,7 +16,7 @@ demo: $(VENV)/.installed-embedded
 	$(VENV)/bin/octn demo $(DEMO_FLAGS)
 
 test: $(VENV)/.installed-test
-	$(VENV)/bin/python -m pytest -m "not slow"
+	$(VENV)/bin/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-all: $(VENV)/.installed-test
 	$(VENV)/bin/python -m pytest

@@ -41,6 +41,7 @@ TEST = [
     "mypy>=1.10",
     "pytest>=7.4",
     "pytest-timeout>=2.2",
+    "pytest-xdist>=3.6",  # two processes: many tests wait for others, and two cores are everywhere
     "ruff>=0.6",
     "trimesh>=4.0",  # reads the meshes we write
     # Its interpreter runs the GPU's kernels on the CPU, and its compiler builds them for GPUs that are not there.

@@ -35,8 +35,8 @@ def _own_graph() -> None:
 
 
 wait_passively()  # as the programs do: threads that spin take five times as long on a busy machine
-if "OCTN_RENDEZVOUS_PORT" not in os.environ:
-    _own_graph()
+if "OCTN_RENDEZVOUS_PORT" not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
+    _own_graph()  # what a process of pytest-xdist finds in its environment is the graph of the one that started it
 embedded.install()  # from here on the tests may import rclpy and the message packages
 
 
