@@ -23,9 +23,9 @@ def training_curves(rows: Sequence[Row]) -> bytes:
             for number, start in enumerate(starts):
                 colour = _COLOURS[number % len(_COLOURS)]
                 mine = [row for row in rows if row["start"] == start and row["curve_s"]]
-                for index, row in enumerate(mine):
-                    name = start if index == 0 else None
-                    axes.plot(row["curve_s"], row[key], color=colour, linewidth=0.9, alpha=0.8, label=name)
+                axes.plot([], [], color=colour, linewidth=0.9, label=start)  # also of fits that ended before a report
+                for row in mine:
+                    axes.plot(row["curve_s"], row[key], color=colour, linewidth=0.9, alpha=0.8)
                     hybrid = row["curve_stage"].count("hybrid")
                     if 0 < hybrid < len(row["curve_s"]):
                         axes.plot(row["curve_s"][hybrid], row[key][hybrid], ".", color=colour, markersize=6)
@@ -34,7 +34,8 @@ def training_curves(rows: Sequence[Row]) -> bytes:
                     axes.axvline(float(np.mean(switches)), color=colour, linestyle="--", linewidth=0.8)
             axes.set(title=title, xlabel="seconds")
             axes.set_xlim(left=0.0)
-        panels[0].set_yscale("log")
+        if any(row["curve_s"] for row in rows):  # an axis without anything on it has no logarithms
+            panels[0].set_yscale("log")
         panels[1].axhline(30.0, color="#8a9099", linewidth=0.8, linestyle=":")
         panels[1].text(0.99, 30.0, "30 dB", transform=panels[1].get_yaxis_transform(), ha="right", va="bottom")
         panels[0].legend(title="left of the dashes hybrid, right of them discrete", title_fontsize=8)

@@ -10,6 +10,7 @@ from octn_ros.errors import ConfigurationError
 from octn_ros.evaluation import curve
 from octn_ros.evaluation.benchmark import BenchmarkRequest
 from octn_ros.evaluation.curve_config import CurveBenchConfig
+from octn_ros.evaluation.curve_picture import training_curves
 from octn_ros.evaluation.report import result_to_plain
 from octn_ros.simulation import make_phantom, named_phantom
 from octn_ros.training import PRESETS, FitResult
@@ -66,6 +67,11 @@ def test_the_whole_of_it_on_tiny_phantoms():
     fits = result.configuration["fits"]
     assert [fits[start]["start_from_data"] for start in (curve.FROM_DATA, curve.RANDOM)] == [True, False]
     json.dumps(result_to_plain(result, {}), allow_nan=False)
+
+
+def test_a_fit_that_ended_before_its_first_report_has_no_curve():
+    row = {"start": curve.FROM_DATA, "curve_s": [], "curve_loss": [], "curve_db": [], "curve_stage": []}
+    assert training_curves([row]).startswith(b"\x89PNG")
 
 
 def test_a_folder_and_a_preset_without_stages(tmp_path):
