@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(stop.code or 0)
     name = f"octn {arguments.command}"
     try:
-        return arguments.read(arguments).run()
+        code = arguments.read(arguments).run()
     except OctnError as error:
         print(f"{name}: error: {_one_line(error)}", file=sys.stderr)
         code = EXIT_BAD_INPUT
