@@ -64,7 +64,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/octn_ros"]),
         ("share/octn_ros", ["package.xml"]),
-        ("share/octn_ros/config", glob("config/*.yaml")),  # noqa: PTH207 - setuptools takes relative names only
+        # setuptools takes relative names only, which is what PTH207 is about
+        ("share/octn_ros/config", ["config/fast_dds.xml", *glob("config/*.yaml")]),  # noqa: PTH207
         ("share/octn_ros/config/sros2", glob("config/sros2/*.xml")),  # noqa: PTH207
         ("share/octn_ros/foxglove", glob("foxglove/*.json")),  # noqa: PTH207
         ("share/octn_ros/launch", glob("launch/*.launch.py")),  # noqa: PTH207

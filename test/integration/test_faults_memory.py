@@ -1,4 +1,4 @@
-"""A C-scan of 67 million voxels, streamed as 256 images: how long it takes, and how much memory."""
+"""C-scans sent as fast as they go: of many B-scans, and of 67 million voxels, how long they take and what memory."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from octn_ros.volume import Volume
 START_S, FIT_S = 60.0, 60.0
 COUNT = 256
 LARGE, TINY = (COUNT, 512, 512), (COUNT, 16, 16)
+MANY = (600, 256, 256)
 SPACING_M = (10e-6, 4e-6, 10e-6)
 MOST_COPIES = 4.0
 MOST_SECONDS = 3.0  # beyond the transport
@@ -35,6 +36,10 @@ def memory_mb(pid: int, entry: str) -> float:
     return next(int(line.split()[1]) for line in lines if line.startswith(entry)) * 1024e-6
 
 
+def given(count: int) -> tuple[str, ...]:
+    return f"bscan_count:={count}", "spacing_um:=[0.0, 4.0, 10.0]", "device:=cpu", "field_path:=''"
+
+
 def random_volume(shape: tuple[int, int, int], dtype: type) -> Volume:
     voxels = np.random.default_rng(0).integers(0, 200, shape, dtype=np.uint8).astype(dtype)
     return Volume.from_array(voxels, SPACING_M)
@@ -43,10 +48,10 @@ def random_volume(shape: tuple[int, int, int], dtype: type) -> Volume:
 class Stream:
     """A scanner that publishes as fast as it can, below a name."""
 
-    def __init__(self, client: Any, name: str) -> None:
+    def __init__(self, client: Any, name: str, count: int = COUNT) -> None:
         self.client = client
         self.progress = client.watch(DiagnosticArray, f"{name}fit_progress", qos.STREAM)
-        profile = qos.scan_profile(COUNT)
+        profile = qos.scan_profile(count)
         self.bscan = client.node.create_publisher(Image, f"{name}bscan", profile)
         self.bscan_pose = client.node.create_publisher(PoseStamped, f"{name}bscan_pose", profile)
         for publisher in (self.bscan, self.bscan_pose):
@@ -81,6 +86,14 @@ class Stream:
         self.progress.wait(FIT_S, told)
 
 
+def test_a_cscan_of_many_bscans_is_received_whole(launch: Callable[..., Any], client: Any) -> None:
+    launch("trainer", *given(MANY[0]), *SMALL_FIT)
+    stream = Stream(client, "", MANY[0])
+    for stamp_ns in (1_000, 2_000):
+        stream.seconds(random_volume(MANY, np.uint8), stamp_ns)
+        stream.until("done", stamp_ns)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells the memory of a process in /proc")
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -92,8 +105,7 @@ def test_a_large_cscan_is_assembled_in_time_and_in_less_than_four_copies(
     transport_s = min(Stream(client, "plain/").seconds(volume, stamp_ns) for stamp_ns in (1_000, 2_000))
     listener.end()
 
-    given = (f"bscan_count:={COUNT}", "spacing_um:=[0.0, 4.0, 10.0]", "device:=cpu", "field_path:=''")
-    trainer = launch("trainer", *given, *SMALL_FIT)
+    trainer = launch("trainer", *given(COUNT), *SMALL_FIT)
     stream = Stream(client, "")
     stream.seconds(random_volume(TINY, dtype), 3_000)  # loads and compiles whatever a fit needs
     stream.until("done", 3_000)
