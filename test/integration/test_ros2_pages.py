@@ -21,6 +21,7 @@ DEMO = "ros2 launch octn_ros demo.launch.py"
 ASKED = re.compile(r"ros2 (service call|topic echo|topic info|param dump) ")
 STARTED = re.compile(r"ros2 (run|launch) octn_ros ((?!--enclave).)*$")
 SECURED = re.compile(r"ros2 security |export ROS_SECURITY|ros2 run octn_ros .* --enclave |ROS_SECURITY_")
+SET = re.compile(r"export FASTRTPS_")
 # What no machine has that these tests run on.
 ELSEWHERE = (
     ("device:=cuda", "device:=cpu"),
@@ -127,8 +128,19 @@ def answer(terminal: Callable[..., Terminal], command: str) -> str:
 def test_each_command_is_run_by_one_of_these_tests(ros_commands: Callable[..., list[str]]) -> None:
     for page in PAGES:
         for command in ros_commands(page, re.compile("")):
-            known = [pattern for pattern in (ASKED, STARTED, SECURED) if pattern.match(command)]
+            known = [pattern for pattern in (ASKED, STARTED, SECURED, SET) if pattern.match(command)]
             assert len(known) == 1, f"{page}: nobody runs {command}"
+
+
+@needs_ros2
+def test_what_a_scanner_is_told_to_set_is_there(
+    terminal: Callable[..., Terminal], ros_commands: Callable[..., list[str]]
+) -> None:
+    (export,) = ros_commands("docs/connecting.md", SET)
+    shows = terminal(f"{export}\ncat $FASTRTPS_DEFAULT_PROFILES_FILE; echo it says $RMW_FASTRTPS_USE_QOS_FROM_XML")
+    assert shows.ended(ANSWER_SEC) == 0, shows.said
+    assert "<heartbeatPeriod>" in shows.said
+    assert "it says 1\n" in shows.said
 
 
 @needs_ros2
