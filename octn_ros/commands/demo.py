@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,7 +67,7 @@ class DemoCommand:
         if self.closed_loop and self.volume is not None:
             raise terminal.CommandError("--closed-loop needs tissue that can be cut: expected no --volume beside it")
         terminal.make_output_directory(self.output)
-        with terminal.ProgressBar() as bar:
+        with self._recording_told(), terminal.ProgressBar() as bar:
             bar.show("loading", 0.0)
             result = self._ablate(bar.show) if self.closed_loop else self._execute_plan(bar.show)
         if self.json:
@@ -76,6 +78,17 @@ class DemoCommand:
             if self.record is not None:
                 terminal.say(f"Recording: {self.record}")
         return 0
+
+    @contextmanager
+    def _recording_told(self) -> Iterator[None]:
+        """Of a demo that fails or is interrupted, say where the recording lies that shows why."""
+        before = _written_ns(self.record)
+        try:
+            yield
+        except BaseException:
+            if _written_ns(self.record) != before:
+                terminal.say(f"Recording up to then: {self.record}")
+            raise
 
     def _execute_plan(self, show: Show) -> DemoResult:
         start = time.perf_counter()
@@ -105,6 +118,11 @@ class DemoCommand:
         if self.volume is not None:
             return recorded_source(self.volume, self.spacing_um)
         return phantom_source(PhantomConfig(shape=QUICK_SHAPE) if self.quick else PhantomConfig())
+
+
+def _written_ns(path: Path | None) -> int:
+    """When a file was last written, 0 for none."""
+    return path.stat().st_mtime_ns if path is not None and path.is_file() else 0
 
 
 def add_parser(commands: Any) -> None:

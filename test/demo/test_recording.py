@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from octn_ros.cli import main
 from octn_ros.demo import recording
-from octn_ros.demo.graph import demo_graph
+from octn_ros.demo.graph import DemoError, demo_graph
 from octn_ros.demo.session import Ears
 from octn_ros.field import field_hash, loads_field
 from octn_ros.nodes import status
@@ -85,6 +85,25 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_runs(
     assert main(["demo", "--quick", "--record", str(path), "--output", str(tmp_path)]) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
     assert line.startswith(f"octn demo: error: {path}: cannot write the recording: No such file")
+
+
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_demo_that_fails_says_where_its_recording_lies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, begun: bool
+) -> None:
+    path = tmp_path / "out.mcap"
+    path.write_bytes(b"of yesterday")
+
+    def fails(*_: Any) -> None:
+        if begun:
+            path.write_bytes(b"of now")
+        raise DemoError("the graph stood still")
+
+    monkeypatch.setattr("octn_ros.demo.run.run_demo", fails)
+    assert main(["demo", "--quick", "--record", str(path), "--output", str(tmp_path)]) == 2
+    said = "".join(capsys.readouterr().err.split())
+    assert (f"Recordinguptothen:{path}" in said) is begun
+    assert "thegraphstoodstill" in said
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_demo(tmp_path: Path) -> None:
