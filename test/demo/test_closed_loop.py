@@ -114,6 +114,7 @@ def test_a_small_phantom_is_ablated_to_the_depth_asked_for(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # four minutes beside two other suites
 def test_the_wavy_phantom_is_ablated_to_300_um_over_3_by_3_mm(tmp_path, capsys):
     values = run(tmp_path, capsys)
     x0, y0, x1, y1 = values["rectangle_mm"]
