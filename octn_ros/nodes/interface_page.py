@@ -22,6 +22,8 @@ without a slash in front lie in the nodes' namespace, `/octn` unless told otherw
 *Latched* is reliable, transient local, depth 1, **on both ends**: who subscribes otherwise gets nothing that was
 published before it came. A reliable subscriber hears nothing from a best-effort publisher. The depth of `bscan` and
 `bscan_pose` is at least the number of B-scans, their reliability the trainer's parameter `bscan_reliability`.
+`fit_progress` and `execution_status` keep their last 50 reports: Fast DDS hands a late joiner all of them, the newest
+last.
 
 A request that cannot be served never ends a node and never publishes a path: the caller gets an error code, `success:
 false` or an empty path at once, the reason stands on the node's status topic and in its log. A DiagnosticArray carries
