@@ -28,7 +28,8 @@ def clipped_lines(corners: NDArray[np.float64], lines: NDArray[np.float64], marg
     at = np.clip(lines, low + NOTHING_M, high - NOTHING_M)[:, None] if high - low > 2 * NOTHING_M else lines[:, None]
     (u0, v0), (u1, v1) = corners.T, np.roll(corners, -1, axis=0).T
     crossed = (v0 <= at) != (v1 <= at)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    # Only edges that are not crossed divide by nothing, or by next to nothing, and those are not taken.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         u = np.sort(np.where(crossed, u0 + (at - v0) / (v1 - v0) * (u1 - u0), np.inf), axis=1)
     count = crossed.sum(axis=1)
     spans = [row[: 2 * (n // 2)].reshape(-1, 2) for row, n in zip(u, count, strict=True)]

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from octn_ros.errors import ConfigurationError, PlanError
@@ -31,6 +31,7 @@ def test_a_quarter_turn_starts_along_the_bscan_axis():
 millimetres = st.floats(-2e-3, 2e-3)
 
 
+@example((0.0, 0.002), (0.002, 0.0), 2.225073858507e-311, 3e-4, 2.5e-4)  # an edge of next to no height
 @given(
     st.tuples(millimetres, millimetres), st.tuples(millimetres, millimetres), st.floats(-7.0, 7.0),
     st.floats(3e-5, 3e-4), st.floats(3e-5, 3e-4),
