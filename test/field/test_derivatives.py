@@ -97,7 +97,8 @@ configurations = st.builds(
 def test_fast_paths_of_any_neural_field_equal_automatic_differentiation(config, seed, dtype):
     field = neural(config, seed, dtype)
     points = scattered(40, seed, dtype, reach=1.2)
-    tolerance = {"rtol": 1e-9, "atol": 1e-9} if dtype == torch.float64 else {"rtol": 2e-3, "atol": 2e-3}
+    # torch differentiates softplus as a line from 20 on, where its slope is 2e-9 below that.
+    tolerance = {"rtol": 1e-8, "atol": 1e-8} if dtype == torch.float64 else {"rtol": 2e-3, "atol": 2e-3}
     value, slope = field.axial_value_and_slope(*points.unbind(-1))
     expected_value, expected_gradient = DifferentiableField.value_and_gradient(field, points)
     torch.testing.assert_close(value, expected_value, **tolerance)
