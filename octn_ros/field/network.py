@@ -69,7 +69,9 @@ class Network(nn.Module):
             if isinstance(layer, nn.Linear):
                 features, tangents = layer(features), nn.functional.linear(tangents, layer.weight)
             elif isinstance(layer, nn.Softplus):
-                tangents = tangents * torch.sigmoid(layer.beta * features)
+                sharp = layer.beta * features
+                # From its threshold on torch answers with a line, and its slope is what automatic differentiation says.
+                tangents = tangents * torch.where(sharp > layer.threshold, 1.0, torch.sigmoid(sharp))
                 features = layer(features)
             else:
                 tangents = tangents * (features > 0)

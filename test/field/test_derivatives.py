@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from octn_ros.field import (
@@ -92,13 +92,21 @@ configurations = st.builds(
 )
 
 
+# Some of its features lie where torch answers for softplus with a line, 2e-9 steeper than the curve.
+PAST_THE_THRESHOLD = NeuralFieldConfig(
+    HashGridConfig(5, 1, log2_table_size=5, base_resolution=3, finest_ratio=2.0, follow_shape=False,
+                   interpolation="smoothstep"),
+    NetworkConfig(1, 4, "softplus"),
+)  # fmt: skip
+
+
+@example(PAST_THE_THRESHOLD, 301, torch.float64)
 @given(configurations, st.integers(0, 1000), st.sampled_from([torch.float32, torch.float64]))
 @settings(max_examples=40, deadline=None)
 def test_fast_paths_of_any_neural_field_equal_automatic_differentiation(config, seed, dtype):
     field = neural(config, seed, dtype)
     points = scattered(40, seed, dtype, reach=1.2)
-    # torch differentiates softplus as a line from 20 on, where its slope is 2e-9 below that.
-    tolerance = {"rtol": 1e-8, "atol": 1e-8} if dtype == torch.float64 else {"rtol": 2e-3, "atol": 2e-3}
+    tolerance = {"rtol": 1e-9, "atol": 1e-9} if dtype == torch.float64 else {"rtol": 2e-3, "atol": 2e-3}
     value, slope = field.axial_value_and_slope(*points.unbind(-1))
     expected_value, expected_gradient = DifferentiableField.value_and_gradient(field, points)
     torch.testing.assert_close(value, expected_value, **tolerance)
