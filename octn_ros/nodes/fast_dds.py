@@ -14,8 +14,7 @@ def set_up_fast_dds() -> None:
     """Let this process, and those that it starts, use `config/fast_dds.xml` unless the environment says otherwise.
 
     Read when the process joins the graph, so programs call it before `rclpy.init`. Other middlewares do not read it.
-    Fast DDS as it comes keeps 400 messages of a topic whatever its queue's depth, and asks for what was lost every 3 s:
-    of 500 B-scans sent as fast as they go, up to 45 poses never came.
+    The file says what it mends.
 
     Raises:
         ConfigurationError: the file is not where the package was installed.

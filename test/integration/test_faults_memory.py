@@ -88,9 +88,9 @@ class Stream:
 
 def test_a_cscan_of_many_bscans_is_received_whole(launch: Callable[..., Any], client: Any) -> None:
     launch("trainer", *given(MANY[0]), *SMALL_FIT)
-    stream = Stream(client, "", MANY[0])
+    stream, volume = Stream(client, "", MANY[0]), random_volume(MANY, np.uint8)
     for stamp_ns in (1_000, 2_000):
-        stream.seconds(random_volume(MANY, np.uint8), stamp_ns)
+        stream.seconds(volume, stamp_ns)
         stream.until("done", stamp_ns)
 
 

@@ -171,8 +171,14 @@ def test_from_a_plan_to_its_execution(launched: None) -> None:
     assert "success=True" in call("enable_laser", "{data: true}")
     answer = call("execute")
     assert "success=True" in answer, answer
-    until(lambda: "value: done" in newest("/octn/execution_status"), COMMAND_SEC, "all shots")
-    until(lambda: f"value: '{count}'" in newest("/octn/execution_status"), COMMAND_SEC, "as many waypoints")
+    reports: list[str] = []
+
+    def done() -> bool:
+        reports.append(newest("/octn/execution_status"))
+        return "value: done" in reports[-1]
+
+    until(done, COMMAND_SEC, "all shots")
+    assert f"value: '{count}'" in reports[-1]
     assert "success=True" in call("abort")
 
 
