@@ -11,7 +11,7 @@ from octn_ros.embedded.errors import needs_ros2
 _NAMES = """
     modules: action constants endpoint_info event_handler expand_topic_name experimental guard_condition handle
         impl lifecycle logging_service parameter_client parameter_event_handler qos_event qos_overriding_options
-        serialization service_introspection time_source topic_endpoint_info topic_or_service_is_hidden
+        service_introspection time_source topic_endpoint_info topic_or_service_is_hidden
         type_description_service type_hash type_support validate_full_topic_name validate_namespace
         validate_node_name validate_parameter_name validate_topic_name wait_for_message waitable
     rclpy: create_node get_rmw_implementation_identifier
