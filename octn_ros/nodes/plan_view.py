@@ -10,6 +10,7 @@ import numpy as np
 from nav_msgs.msg import OccupancyGrid, Path
 from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 from visualization_msgs.msg import MarkerArray
@@ -38,6 +39,9 @@ class _Shown:
 class PlanView:
     """Publishes `path`, `plan_markers` and `plan_preview`, latched, of the present plan, in a thread of its own.
 
+    The thread begins after the callback that asked for it, so that the answer of a service goes out first: the thread
+    would take the processor from whatever is still to be done.
+
     Path and markers lie in the robot's base, where the tissue stays as the arm moves, or in the end-effector frame
     where the pose at the time of the scan is not known. The preview is drawn over the scan's `enface` view, again
     where that comes after the plan. All are stamped with the time of the scan.
@@ -46,9 +50,16 @@ class PlanView:
         node: the node that publishes.
         calibration: relates the frames.
         failed: told why something could not be shown.
+        planning: callback group of the services that ask for plans to be shown.
     """
 
-    def __init__(self, node: Node, calibration: Calibration, failed: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        calibration: Calibration,
+        failed: Callable[[str], None],
+        planning: MutuallyExclusiveCallbackGroup,
+    ) -> None:
         self._calibration, self._failed = calibration, failed
         self._path = node.create_publisher(Path, "path", qos.LATCHED)
         self._markers = node.create_publisher(MarkerArray, "plan_markers", qos.LATCHED)
@@ -56,6 +67,9 @@ class PlanView:
         self._enface: OccupancyGrid | None = None
         self._shown: _Shown | None = None
         self._work = LatestWork(node, "plan view", failed)
+        # Due at once, and yet after the callback of this group that starts it.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._start = node.create_timer(0.0, self._begin, callback_group=planning, clock=steady, autostart=False)
         group = MutuallyExclusiveCallbackGroup()
         node.create_subscription(OccupancyGrid, "enface", self._on_enface, qos.LATCHED, callback_group=group)
 
@@ -79,7 +93,13 @@ class PlanView:
 
     def _ask(self, shown: _Shown) -> None:
         self._shown = shown
-        self._work.ask(lambda look: self._publish(shown, look))
+        self._start.reset()
+
+    def _begin(self) -> None:
+        self._start.cancel()
+        shown = self._shown
+        if shown is not None:
+            self._work.ask(lambda look: self._publish(shown, look))
 
     def _publish(self, shown: _Shown, look: Callable[[], None]) -> None:
         plan, received = shown.plan, shown.received

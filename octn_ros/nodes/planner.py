@@ -35,10 +35,10 @@ from octn_ros.planning import (
     PlannerConfig,
     Region,
     RegionConfig,
+    count_waypoints,
     load_calibration,
     load_keep_out,
     plan_region,
-    raster_pattern,
     rectangle_region,
     warm_up_steps,
 )
@@ -90,10 +90,10 @@ class Planner(Node):
         self._status = status.StatusTopic(self, "plan_status", qos.LATCHED)
         self._answers = Answers(self._diagnostics, self._status, self._standing)
         self._publisher = PlanPublisher(self, self._calibration)
-        self._view = PlanView(self, self._calibration, self._on_bad_view)
         self._transforms = Transforms(self, self._calibration)
         # One group for all of them: no field arrives in the middle of a plan, so no plan mixes two fields.
         group = MutuallyExclusiveCallbackGroup()
+        self._view = PlanView(self, self._calibration, self._on_bad_view, group)
         device = torch_device(config.device)
         self._fields = FieldReceiver(self, device, self._on_field, self._on_bad_field, group)
         self._scan_poses = ScanPoses(self, self._calibration.base_frame, group, self._on_other_pose)
@@ -208,7 +208,7 @@ class Planner(Node):
         region, config = wanted(received, ee2base)
         largest = self._config.config().largest_plan
         # Counted in the lateral plane before anything is searched; on a bent surface there may be more.
-        _check_size(len(raster_pattern(region, config.raster).points_m), largest)
+        _check_size(count_waypoints(region, config.raster), largest)
         plan = plan_region(
             received.field,
             self._calibration,
@@ -224,7 +224,7 @@ class Planner(Node):
         self._status.report(status.OK, text, {**_figures(plan), **self._told(received)})
         self._diagnostics.report()  # a sign of life that names the plan, without which no arm takes it
         respond(plan)
-        self._view.show(received, plan, ee2base)  # last: it takes the processor from whatever is still to be done
+        self._view.show(received, plan, ee2base)
         return text
 
 

@@ -11,7 +11,7 @@ from octn_ros.planning.keep_out import KeepOut, load_keep_out
 from octn_ros.planning.paper_methods import PaperConfig, paper_newton, paper_sgd
 from octn_ros.planning.plan import GivenUpPoint, Plan, PlannerConfig, plan_raster, plan_region
 from octn_ros.planning.plan_report import plan_to_plain
-from octn_ros.planning.raster import RasterConfig, RasterPattern, raster_pattern, rectangle_raster
+from octn_ros.planning.raster import RasterConfig, RasterPattern, count_waypoints, raster_pattern, rectangle_raster
 from octn_ros.planning.region import (
     Region,
     centred_rectangle_region,
@@ -55,6 +55,7 @@ __all__ = [
     "baseline_surface",
     "calibration_from_dict",
     "centred_rectangle_region",
+    "count_waypoints",
     "find_surface",
     "from_translation_quaternion",
     "invert",

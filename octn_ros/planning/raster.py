@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,6 +109,39 @@ def raster_pattern(region: Region, config: RasterConfig | None = None, depth_m: 
     """
     config = config or RasterConfig()
     region = region.inset(config.margin_m)
+    runs: list[NDArray[np.float64]] = []
+    total = 0
+    for v, u0, u1, back in _stretches(region, config):
+        run = _run(region, v, u0, u1, config.point_spacing_m, depth_m)
+        runs.append(run[::-1] if back else run)
+        total += len(run)
+        if total > MAX_WAYPOINTS:
+            raise PlanError(
+                f"expected at most {MAX_WAYPOINTS:,} waypoints, got more on the surface at a point spacing of "
+                f"{config.point_spacing_m * 1e6:g} um; spread them wider, or along the lateral plane"
+            )
+    segment = np.repeat(np.arange(len(runs), dtype=np.int32), [len(run) for run in runs])
+    return RasterPattern(points_m=np.concatenate(runs), segment=segment)
+
+
+def count_waypoints(region: Region, config: RasterConfig | None = None) -> int:
+    """Return how many waypoints `raster_pattern` spreads laterally over a region, without spreading them.
+
+    Args:
+        region: likewise.
+        config: likewise.
+
+    Raises:
+        PlanError: likewise.
+    """
+    config = config or RasterConfig()
+    region = region.inset(config.margin_m)
+    stretches = _stretches(region, config)
+    return sum(1 if _is_corner(u0, u1) else int(_count(u1 - u0, config.point_spacing_m)) for _, u0, u1, _ in stretches)
+
+
+def _stretches(region: Region, config: RasterConfig) -> Iterator[tuple[float, float, float, bool]]:
+    """Yield (v, u0, u1) of each stretch of a line in the order of travel, and whether it is travelled from u1 to u0."""
     first, last = region.line_range()
     lines = _count(last - first, config.line_spacing_m)
     width = float(np.ptp(region.to_uv(region.vertices_m)[:, 0]))
@@ -120,28 +153,22 @@ def raster_pattern(region: Region, config: RasterConfig | None = None, depth_m: 
             f"{width * 1e3:.3f} mm at a point spacing of {config.point_spacing_m * 1e6:g} um"
         )
     offsets = np.linspace(first, last, int(lines))
-    runs: list[NDArray[np.float64]] = []
-    total = 0
-    for number, (v, spans) in enumerate(zip(offsets, region.line_spans(offsets), strict=True)):
+    for number, (v, spans) in enumerate(zip(offsets.tolist(), region.line_spans(offsets), strict=True)):
         back = config.order == "zigzag" and number % 2 == 1
-        for u0, u1 in spans[::-1] if back else spans:
-            run = _run(region, v, u0, u1, config.point_spacing_m, depth_m)
-            runs.append(run[::-1] if back else run)
-            total += len(run)
-            if total > MAX_WAYPOINTS:
-                raise PlanError(
-                    f"expected at most {MAX_WAYPOINTS:,} waypoints, got more on the surface at a point spacing of "
-                    f"{config.point_spacing_m * 1e6:g} um; spread them wider, or along the lateral plane"
-                )
-    segment = np.repeat(np.arange(len(runs), dtype=np.int32), [len(run) for run in runs])
-    return RasterPattern(points_m=np.concatenate(runs), segment=segment)
+        for u0, u1 in (spans[::-1] if back else spans).tolist():
+            yield v, u0, u1, back
+
+
+def _is_corner(u0: float, u1: float) -> bool:
+    """Whether a line meets the region in a mere corner: one waypoint, not to fire twice."""
+    return u1 - u0 < 0.5 * EMPTY_M
 
 
 def _run(
     region: Region, v: float, u0: float, u1: float, spacing: float, depth_m: DepthAt | None
 ) -> NDArray[np.float64]:
-    """Spread waypoints over one stretch of a line, ends included; one where it is a mere corner, not to fire twice."""
-    if u1 - u0 < 0.5 * EMPTY_M:
+    """Spread waypoints over one stretch of a line, ends included."""
+    if _is_corner(u0, u1):
         return region.to_xy(np.array([0.5 * (u0 + u1)]), np.array([v]))
     if depth_m is None:
         u = np.linspace(u0, u1, int(_count(u1 - u0, spacing)))

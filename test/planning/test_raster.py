@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from octn_ros.errors import ConfigurationError, PlanError
-from octn_ros.planning import RasterConfig, rectangle_corners, rectangle_raster
+from octn_ros.planning import RasterConfig, count_waypoints, rectangle_corners, rectangle_raster, rectangle_region
 
 
 def test_small_raster_by_hand():
@@ -93,6 +93,8 @@ def test_more_than_a_million_waypoints_are_refused_before_they_are_made():
     words = r"at most 1,000,000 waypoints, got 3e\+04 lines of 3e\+04: 3\.000 mm at a line spacing of 0\.1 um"
     with pytest.raises(PlanError, match=words):
         rectangle_raster((0.0, 0.0), (3e-3, 3e-3), config=RasterConfig(1e-7, 1e-7))
+    with pytest.raises(PlanError, match=words):
+        count_waypoints(rectangle_region((0.0, 0.0), (3e-3, 3e-3)), RasterConfig(1e-7, 1e-7))
 
 
 def test_a_million_waypoints_are_just_allowed():

@@ -12,6 +12,7 @@ from octn_ros.planning import (
     RasterConfig,
     Region,
     centred_rectangle_region,
+    count_waypoints,
     measure_coverage,
     polygon_region,
     raster_pattern,
@@ -47,6 +48,7 @@ def inside_by_hand(points, corners, margin):
 
 def check_coverage(region, config):
     pattern = raster_pattern(region, config)
+    assert count_waypoints(region, config) == len(pattern.points_m)
     figures = measure_coverage(region.inset(config.margin_m), pattern.points_m, pattern.segment, config.line_spacing_m)
     slack = 1.0 + 1e-4  # columns stand a nanometre beside the ends of lines
     assert figures.line_gap_m <= config.line_spacing_m * slack

@@ -6,7 +6,7 @@ Every function is pure and thread-safe. Lengths are metres, times nanoseconds, q
 from octn_ros.field import FORMAT
 from octn_ros.nodes.conversions.buffers import shortest_decimal, to_bytes_field
 from octn_ros.nodes.conversions.clouds import cloud_to_points, table, to_cloud
-from octn_ros.nodes.conversions.encoded_poses import encode_path, encode_pose_array
+from octn_ros.nodes.conversions.encoded_poses import encode_path, encode_pose_array, to_path
 from octn_ros.nodes.conversions.fields import encode_field, field_data, to_field_message, voxel_room, with_field_message
 from octn_ros.nodes.conversions.grids import LARGEST_GRID, GridView, grid_to_view, picture_to_grid, to_grid
 from octn_ros.nodes.conversions.headers import header, stamp_to_ns
@@ -16,7 +16,6 @@ from octn_ros.nodes.conversions.poses import (
     matrix_to_pose_stamped,
     pose_to_matrix,
     poses_to_matrices,
-    to_path,
     to_pose_array,
 )
 from octn_ros.nodes.conversions.tool_paths import TOOL_PATH, cloud_to_tool_path, plan_hash, tool_path, tool_path_poses

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
-from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -67,12 +66,6 @@ def rigid_transforms(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
     if len(numbers):
         matrices[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()
     return matrices
-
-
-def to_path(poses: NDArray[np.float64], stamp_ns: int, frame: str) -> Path:
-    """Return transforms [N, 4, 4] as a path in `frame`; N may be 0."""
-    head = header(stamp_ns, frame)
-    return Path(header=head, poses=[PoseStamped(header=head, pose=pose) for pose in _poses(poses)])
 
 
 def _poses(poses: NDArray[np.float64]) -> list[Pose]:
