@@ -20,7 +20,10 @@ TOPICS = {"waypoints": PoseArray, "waypoints_oct": PoseArray, "tool_path": Point
 
 
 class Carrier(Node):
-    """Keeps the last messages of a plan, and sends the same ones again when `carry` is called."""
+    """Keeps the messages of the first plan, and sends them again when `carry` is called.
+
+    It listens to no later plan: nobody listens to what is carried either, so neither has to wait for who receives it.
+    """
 
     def __init__(self) -> None:
         super().__init__("carrier", namespace="octn")
@@ -28,8 +31,10 @@ class Carrier(Node):
         self._again = {
             topic: self.create_publisher(kind, f"{topic}_again", qos.LATCHED) for topic, kind in TOPICS.items()
         }
-        for topic, kind in TOPICS.items():
+        self._listening = [
             self.create_subscription(kind, topic, lambda message, topic=topic: self._store(topic, message), qos.LATCHED)
+            for topic, kind in TOPICS.items()
+        ]
         self.create_service(GetPlan, "carry", self._carry)
 
     def _store(self, topic: str, message: Any) -> None:
@@ -37,6 +42,8 @@ class Carrier(Node):
 
     def _carry(self, _request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
         if len(self._stored) == len(TOPICS):
+            while self._listening:
+                self.destroy_subscription(self._listening.pop())
             for topic, message in self._stored.items():
                 self._again[topic].publish(message)
             response.plan = self._stored["path"]
