@@ -22,7 +22,8 @@ from octn_ros.nodes import qos, status
 from octn_ros.nodes.client import GraphClient
 
 LARGEST_MM = 100.0  # no C-scan is as wide: what lies beyond has been given in micrometres
-MEETING_S, START_S, FIT_S, PLAN_S, STAGING_S, EXECUTION_S = 1.0, 120.0, 600.0, 60.0, 15.0, 300.0
+# How long is waited for what, in seconds: limits for what hangs, since what is refused says so.
+MEETING_S, START_S, ANSWER_S, FIT_S, PLAN_S, EXECUTION_S = 1.0, 120.0, 60.0, 600.0, 120.0, 300.0
 EXIT_REFUSED, EXIT_INTERRUPTED = 1, 130
 
 
@@ -57,7 +58,7 @@ def wait_for_node(client: GraphClient, count: Callable[[], int], what: str) -> N
         client.wait_for(lambda: count() > 0, START_S, what)
 
 
-def ask(client: GraphClient, service: str, timeout_s: float = 10.0) -> None:
+def ask(client: GraphClient, service: str, timeout_s: float = ANSWER_S) -> None:
     """Call one of the Trigger services.
 
     Raises:
@@ -87,7 +88,7 @@ def drive(corners_m: list[float]) -> None:
         fit.wait_matched(START_S)
 
         asked_ns = client.node.get_clock().now().nanoseconds
-        ask(client, "scan")
+        ask(client, "scan")  # who gives up waiting for an answer has not called the scan off
         print("waiting for the fitted field", file=sys.stderr, flush=True)
         ended = fit.wait(FIT_S, lambda message: is_end_of_fit(message, asked_ns))
         if values_of(ended)["state"] != "done":
@@ -108,9 +109,9 @@ def drive(corners_m: list[float]) -> None:
         print(f"plan: {len(path.poses)} waypoints in {path.header.frame_id}", words, flush=True)
 
         wait_for_node(client, lambda: graph.count_publishers("execution_status"), "an arm that tells execution_status")
-        arm.wait(STAGING_S, lambda message: values_of(message)["state"] == "staged", after=heard)
+        arm.wait(ANSWER_S, lambda message: values_of(message)["state"] == "staged", after=heard)
         heard = len(arm.messages)
-        client.call(SetBool, "enable_laser", SetBool.Request(data=True), timeout_s=10)
+        client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S)
         ask(client, "execute", EXECUTION_S)  # an arm may answer when it has begun, or when it has come to the end
         done = arm.wait(EXECUTION_S, lambda message: values_of(message)["state"] in ("done", "aborted"), after=heard)
         print("arm:", status.read(done)[1])

@@ -45,7 +45,7 @@ def closed_loop_demo(
         config: the phantom.
         request: where and how deep.
         fit_parameters: parameters of the trainer, `fit.time_budget_s` among them.
-        output: directory for the report and the record; it exists. A record that lies there is replaced.
+        output: directory for the report and the record; it exists. Those that lie there are removed first.
         show: told what is going on.
         recording: a file for a recording of the graph, None for none.
 
@@ -57,7 +57,8 @@ def closed_loop_demo(
         show("loading", 0.0, "")
         source = phantom_source(config)
     try:
-        audit.unlink(missing_ok=True)
+        for old in (audit, path):
+            old.unlink(missing_ok=True)
         record = run_closed_loop(source, request, fit_parameters, PLATFORM, audit, show, recording)
         show("drawing", 0.0, "")
         seconds = {**watch.seconds, **record.seconds}

@@ -37,6 +37,7 @@ NODES: dict[str, Callable[..., Node]] = {
 THREADS = 6  # one for each node's slowest callback, and two for whatever else is asked meanwhile
 RENDEZVOUS_PORT = "OCTN_RENDEZVOUS_PORT"
 CLOSE_WAIT_S = 5.0
+_BUSY = "is the machine busy with other programs? end them and run it again, or ask for less with --quick"
 
 
 class DemoError(OctnError):
@@ -81,8 +82,8 @@ def demo_graph(parameters: Mapping[str, Mapping[str, Any]], record: Path | None 
             with GraphClient("demo") as client:
                 yield client
         except TimeoutError as error:
-            because = f"; the nodes have stopped: {spin.fault!r}" if spin and spin.fault else ""
-            raise DemoError(f"{error}{because}") from error
+            because = f"the nodes have stopped: {spin.fault!r}" if spin and spin.fault else _BUSY
+            raise DemoError(f"{error}; {because}") from error
         finally:
             if spin is not None:
                 spin.stop(CLOSE_WAIT_S)

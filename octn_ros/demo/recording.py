@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mcap.writer import Writer
 
 LEAST_DEPTH = 10  # of a queue: a latched topic may speak twice while a C-scan is being written
-MATCH_S = 15.0
+MATCH_S = 120.0
 QUIET_S = 0.2  # nothing more comes once the publishers are gone and this long has passed
 DRAIN_S = 30.0  # at most, for what waits in the queues at the end
 

@@ -38,7 +38,7 @@ def run_demo(
     Args:
         source: what is scanned.
         fit_parameters: parameters of the trainer, `fit.time_budget_s` among them.
-        output: directory for the report; it exists.
+        output: directory for the report; it exists. A report that lies there is removed first.
         show: told what is going on.
         seconds: durations of what was done before.
         record: a file for a recording of the graph, None for none.
@@ -47,6 +47,11 @@ def run_demo(
         OctnError: a node refused, failed or did not answer in time, a parameter is not allowed, or the report cannot be
             written.
     """
+    path = output / REPORT_NAME
+    try:
+        path.unlink(missing_ok=True)  # after a run that fails, that of a run before would be taken for its report
+    except OSError as error:
+        raise DemoError(f"{path}: cannot be replaced: {error.strerror or error}") from error
     session = run_session(source, fit_parameters, show, record)
     watch = Stopwatch({**seconds, **session.seconds})
     with watch.part("evaluate"):
@@ -55,7 +60,6 @@ def run_demo(
     with watch.part("draw"):
         show("drawing", 0.0, "")
         drawn = _pictures(source, session, assessment)
-    path = output / REPORT_NAME
     result = _result(source, session, assessment, str(path), watch.seconds)
     page = render_report(
         "octn demo: from a C-scan to an executed laser path",

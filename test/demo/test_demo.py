@@ -90,15 +90,27 @@ def small_source():
     return phantom_source(SMALL)
 
 
-def test_a_scan_that_the_trainer_refuses_ends_the_run(small_source):
+def test_a_scan_that_the_trainer_refuses_ends_the_run(small_source, tmp_path):
     from octn_ros.demo.graph import DemoError
-    from octn_ros.demo.session import run_session
+    from octn_ros.demo.run import run_demo
 
     port = os.environ.get("OCTN_RENDEZVOUS_PORT")
     wrong = {"fit.time_budget_s": 5.0, "bscan_count": 9}
+    (tmp_path / "report.html").write_text("of yesterday")
     with pytest.raises(DemoError, match="C-scan dropped"):
-        run_session(small_source, wrong, lambda *shown: None)
+        run_demo(small_source, wrong, tmp_path, lambda *shown: None, {})
     assert nothing_is_left_running(port)
+    assert not list(tmp_path.iterdir()), "the report of another run is not taken for this one's"
+
+
+def test_a_graph_that_does_not_answer_in_time_names_the_likely_cause():
+    from octn_ros.demo.graph import DemoError, demo_graph
+
+    # isort: split
+    from std_srvs.srv import Trigger
+
+    with pytest.raises(DemoError, match=r"service nobody: not there.*busy.*--quick"), demo_graph({}) as client:
+        client.call(Trigger, "nobody", Trigger.Request(), 0.1)
 
 
 def test_a_plan_that_is_refused_ends_the_run_with_the_planners_reason(small_source, monkeypatch):
