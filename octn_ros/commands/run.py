@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
+import signal
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,11 +31,22 @@ class RunCommand:
 
     def run(self) -> int:
         """Run the node's main and return its exit code, 0 if it names none."""
-        main = importlib.import_module(f"octn_ros.nodes.{self.node}").main
+        # An interrupt as an exception can be lost inside an import, or come out as another error, and the node starts.
+        before = signal.signal(signal.SIGINT, _leave)
+        try:
+            main = importlib.import_module(f"octn_ros.nodes.{self.node}").main
+        finally:
+            signal.signal(signal.SIGINT, before)
         code = int(main([f"octn run {self.node}", *self.rest]) or 0)
         if self.json:
             terminal.print_json({"node": self.node, "arguments": list(self.rest), "exit_code": code})
         return code
+
+
+def _leave(number: int, _: object) -> None:
+    """End the process at once, on a signal that comes before there is anything to end in order."""
+    os.write(2, b"octn run: interrupted\n")
+    os._exit(128 + number)
 
 
 def add_parser(commands: Any) -> None:
