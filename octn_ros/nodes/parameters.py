@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import sys
 import typing
 from collections.abc import Collection, Iterator
@@ -87,6 +88,22 @@ class ConfigParameters(Generic[Config]):
         except (OctnError, TypeError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+def undeclared_parameters(node: Node) -> list[str]:
+    """Return the parameters that were given to a node at its start and that it does not have, in words.
+
+    rclpy ignores them without a word: a misspelt file of keep-out regions would be none. Call it when the node has
+    declared all of its own.
+    """
+    known = node.list_parameters([], 0).names
+    # Private, and yet the only place where rclpy 7.1 keeps what nobody asked for.
+    given = getattr(node, "_parameter_overrides", {})
+    words = []
+    for name in sorted(set(given) - set(known)):
+        near = difflib.get_close_matches(name, known, n=1)
+        words.append(f"{name} (did you mean {near[0]}?)" if near else name)
+    return words
 
 
 def _settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any, typing.Mapping[str, Any]]]:

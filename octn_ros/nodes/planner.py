@@ -35,6 +35,7 @@ from octn_ros.planning import (
     PlannerConfig,
     Region,
     RegionConfig,
+    check_inside,
     count_waypoints,
     load_calibration,
     load_keep_out,
@@ -207,6 +208,7 @@ class Planner(Node):
         ee2base = self._scan_poses.ee2base(received.stamp_ns)
         region, config = wanted(received, ee2base)
         largest = self._config.config().largest_plan
+        check_inside(received.field.geometry, region.vertices_m, "raster corner")
         # Counted in the lateral plane before anything is searched; on a bent surface there may be more.
         _check_size(count_waypoints(region, config.raster), largest)
         plan = plan_region(

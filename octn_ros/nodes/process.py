@@ -16,7 +16,8 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from octn_ros.errors import OctnError
+from octn_ros.errors import OctnError, in_words
+from octn_ros.nodes.parameters import undeclared_parameters
 from octn_ros.nodes.worker import any_working
 
 NEW_OBJECTS = 100_000  # after which the collector looks for cycles
@@ -33,14 +34,16 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     Returns:
         The exit code: 0 after an ordered end, 2 for arguments or parameters that the node cannot start with.
     """
-    rclpy.init(args=args)
-    unknown = remove_ros_args(args)[1:]
+    try:
+        unknown = remove_ros_args(args)[1:]
+        rclpy.init(args=args)
+    except Exception as error:  # of rcl's own type, which rclpy does not export, or of a file that cannot be read
+        return _refuse(f"expected ROS arguments that can be read, got {in_words(error)}")
     if unknown:
-        rclpy.logging.get_logger("octn_ros").fatal(
-            f"expected nothing but --ros-args ..., got {' '.join(unknown)}; parameters are given as -p NAME:=VALUE"
+        return _refuse(
+            f"expected nothing but --ros-args ..., got {' '.join(unknown)}; parameters are given as "
+            "--ros-args -p NAME:=VALUE"
         )
-        rclpy.try_shutdown()
-        return 2
     node, code = None, 1  # of an error that comes out
     try:
         # Before the node says that it is ready: rclpy complains of an executor that a signal leaves half made.
@@ -51,6 +54,8 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         # times as long to make where the collector counts them.
         gc.freeze()
         gc.set_threshold(NEW_OBJECTS)
+        for name in undeclared_parameters(node):
+            node.get_logger().warning(f"there is no parameter {name}; what was given for it is ignored")
         executor.add_node(node)
         executor.spin()
         code = 0
@@ -59,8 +64,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     except (OctnError, InvalidParameterTypeException, InvalidParameterValueException) as error:
         if node is not None:
             raise  # not a matter of parameters: an error that a callback should have caught
-        rclpy.logging.get_logger("octn_ros").fatal(f"{error}{_remedy(error)}")
-        code = 2
+        code = _refuse(f"{error}{_remedy(error)}")
     except Exception:
         # A signal between the executor's look at the context and its wait makes Jazzy raise RCLError, which rclpy
         # does not export. Without a context there is nothing left to run, so it is an ordered end.
@@ -75,6 +79,13 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         _ignore_signals()  # rclpy has put back the handlers from before
         leave_workers_behind(code)
     return code
+
+
+def _refuse(reason: str) -> int:
+    """Say why the process does not start; return its exit code."""
+    rclpy.logging.get_logger("octn_ros").fatal(reason)
+    rclpy.try_shutdown()
+    return 2
 
 
 def _remedy(error: Exception) -> str:

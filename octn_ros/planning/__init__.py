@@ -23,7 +23,7 @@ from octn_ros.planning.region_config import RegionConfig
 from octn_ros.planning.search_config import SurfaceSearchConfig
 from octn_ros.planning.search_result import SurfaceSearch
 from octn_ros.planning.step_levels import warm_up_steps
-from octn_ros.planning.surface_search import find_surface
+from octn_ros.planning.surface_search import check_inside, find_surface
 from octn_ros.planning.transforms import from_translation_quaternion, invert, make_rigid, quaternions_xyzw
 from octn_ros.planning.trust import TrustConfig
 from octn_ros.planning.waypoints import WaypointConfig, Waypoints, inward_normals, place_waypoints, waypoint_poses
@@ -55,6 +55,7 @@ __all__ = [
     "baseline_surface",
     "calibration_from_dict",
     "centred_rectangle_region",
+    "check_inside",
     "count_waypoints",
     "find_surface",
     "from_translation_quaternion",

@@ -171,6 +171,8 @@ def test_what_a_node_cannot_start_with_ends_with_code_2_and_one_line() -> None:
         ("simulator", parameters("volume_file:=/nowhere/scan.nii"), "no such file"),
         ("trainer", parameters("fit.alpha:=1.5"), "fit.alpha"),
         ("trainer", ["--preset", "fast"], "got --preset fast"),
+        ("query", ["-p", "preset:=fast"], "--ros-args -p NAME:=VALUE"),
+        ("query", ["--ros-args", "--params-file", "/nowhere/octn.yaml"], "/nowhere/octn.yaml"),
         ("simulator", parameters("time_factor:=50"), "with a point, as 50.0"),
     ]
     commands = [[sys.executable, "-m", f"octn_ros.nodes.{node}", *arguments] for node, arguments, _ in cases]
@@ -181,6 +183,18 @@ def test_what_a_node_cannot_start_with_ends_with_code_2_and_one_line() -> None:
         assert process.returncode == 2, words
         assert reason in words
         assert "Traceback" not in words
+
+
+def test_a_parameter_that_there_is_not_is_said_at_the_start() -> None:
+    command = [sys.executable, "-m", "octn_ros.nodes.planner", *parameters("keepout:=/nowhere/keep_out.yaml")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        warned = next(line for line in process.stderr if "there is no parameter" in line)
+    finally:
+        process.kill()
+        process.communicate()
+    assert "keepout (did you mean keep_out?)" in warned
 
 
 def test_the_namespace_can_be_changed(start: Callable[..., Any], client: Any) -> None:

@@ -8,7 +8,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from octn_ros.errors import ConfigurationError
-from octn_ros.nodes.parameters import ConfigParameters
+from octn_ros.nodes.parameters import ConfigParameters, undeclared_parameters
 from octn_ros.settings import check_settings, setting
 
 
@@ -135,3 +135,13 @@ def test_two_configurations_share_a_node(node: Node) -> None:
     first, second = ConfigParameters(node, Outer()), ConfigParameters(node, Inner(), "other")
     assert node.set_parameters([Parameter("other.count", value=5)])[0].successful
     assert (first.config().inner.count, second.config().count) == (3, 5)
+
+
+def test_what_is_given_and_not_declared_is_told_with_the_nearest_name(ros: None) -> None:
+    given = [Parameter("linespacing_m", value=1e-4), Parameter("qqq", value=1), Parameter("use_sim_time", value=False)]
+    made = Node("misspelt", parameter_overrides=given)
+    try:
+        made.declare_parameter("line_spacing_m", 5e-5)
+        assert undeclared_parameters(made) == ["linespacing_m (did you mean line_spacing_m?)", "qqq"]
+    finally:
+        made.destroy_node()

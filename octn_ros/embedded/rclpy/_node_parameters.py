@@ -28,7 +28,7 @@ class NodeParameters:
     _parameter_events: Publisher
 
     def __init__(self, overrides: dict[str, Any]) -> None:
-        self._overrides = overrides
+        self._parameter_overrides = overrides  # rclpy's name for it
         self._parameters: dict[str, Parameter] = {}
         self._descriptors: dict[str, Any] = {}
         self._on_set: list[Callable[[list[Parameter]], Any]] = []
@@ -76,7 +76,7 @@ class NodeParameters:
             if name in self._parameters or name in declared:
                 raise exceptions.ParameterAlreadyDeclaredException(name)
             kind = Parameter.Type.from_parameter_value(default)
-            value = default if ignore_override else self._overrides.get(name, default)
+            value = default if ignore_override else self._parameter_overrides.get(name, default)
             empty = isinstance(value, (list, tuple)) and not value and kind.name.endswith("_ARRAY")
             # An empty list takes the declared type.
             parameter = Parameter(name, kind, value) if empty else Parameter(name, value=value)
