@@ -274,6 +274,10 @@ def test_a_plan_larger_than_allowed_is_refused_before_it_is_searched(
     assert not bench.replan().success
     assert bench.until("replan refused", "largest_plan", "36")["state"] == "refused"
     assert "read-only" in bench.set("largest_plan", 36).reason
+    # What is wrong with a region that is far too large is where it lies, not how many waypoints it has.
+    assert bench.set("region.size_m", [0.03, 0.03]).successful
+    assert not bench.replan().success
+    assert bench.until("replan refused", "inside the scan")["state"] == "refused"
 
 
 def test_a_plan_as_large_as_allowed_is_made(spin: Callable[..., Any], client: Any, volume: Volume) -> None:
