@@ -15,7 +15,7 @@ from octn_ros.nodes import status
 from octn_ros.nodes.client import GraphClient, Watch
 
 # How long is waited for an answer and for a plan, in seconds: limits for what hangs, since what fails says so. Either
-# takes a second or less, and fifty times that where others have the processors.
+# takes a second or less, and has been seen to take over 15 where others had the processors.
 ANSWER_S = 120.0
 PLAN_S = 300.0
 

@@ -208,6 +208,7 @@ class Planner(Node):
         ee2base = self._scan_poses.ee2base(received.stamp_ns)
         region, config = wanted(received, ee2base)
         largest = self._config.config().largest_plan
+        # Before it is counted: a region in the wrong unit is both outside and too large, and outside says more.
         check_inside(received.field.geometry, region.vertices_m, "raster corner")
         # Counted in the lateral plane before anything is searched; on a bent surface there may be more.
         _check_size(count_waypoints(region, config.raster), largest)

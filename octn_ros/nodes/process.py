@@ -36,9 +36,10 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """
     try:
         unknown = remove_ros_args(args)[1:]
-        rclpy.init(args=args)
+        if not unknown:
+            rclpy.init(args=args)
     except Exception as error:  # of rcl's own type, which rclpy does not export, or of a file that cannot be read
-        return _refuse(f"expected ROS arguments that can be read, got {in_words(error)}")
+        return _refuse(f"expected arguments and an environment that ROS can start with, got {in_words(error)}")
     if unknown:
         return _refuse(
             f"expected nothing but --ros-args ..., got {' '.join(unknown)}; parameters are given as "
@@ -84,7 +85,6 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
 def _refuse(reason: str) -> int:
     """Say why the process does not start; return its exit code."""
     rclpy.logging.get_logger("octn_ros").fatal(reason)
-    rclpy.try_shutdown()
     return 2
 
 
