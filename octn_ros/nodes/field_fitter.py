@@ -109,6 +109,8 @@ class FieldFitter:
             else:
                 self._supersede(figures)
         except Exception as error:  # whatever goes wrong in a fit, out of memory included, the node lives on
+            if self._worker.closed:
+                return  # the node did not wait for this fit and took its publishers along
             self._failed(f"fit failed: {error}")
             self._progress.report(status.ERROR, f"fit failed: {error}", {"state": "failed", **of_scan})
         give_back_freed_memory()  # a fit needs several times what its field is

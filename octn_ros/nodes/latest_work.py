@@ -55,7 +55,7 @@ class LatestWork:
             except _SupersededError:
                 pass
             except Exception as error:  # a fault of ours, or memory that ran out: the node lives on
-                if self._node.context.ok():  # else the graph is gone, and nothing could be published
+                if self._node.context.ok() and not self._worker.closed:  # else nothing could be published any more
                     self._failed(in_words(error))
 
         self._worker.submit(job, restart=True)

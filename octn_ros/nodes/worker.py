@@ -44,6 +44,12 @@ class Worker:
         with self._condition:
             return self._stop is not None or self._waiting is not None
 
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called: what a job that still runs publishes with may be gone."""
+        with self._condition:
+            return self._closed
+
     def submit(self, job: Job, *, restart: bool = False) -> bool:
         """Run a job now, or after the present one in place of any that waits; return whether it has to wait.
 
@@ -69,9 +75,9 @@ class Worker:
 
     def close(self, timeout_s: float) -> None:
         """Cancel everything, take no more jobs, and wait at most `timeout_s` for the running one to end."""
-        self.cancel()
         with self._condition:
             self._closed = True
+            self.cancel()
             self._condition.notify()
         self._thread.join(timeout_s)
 

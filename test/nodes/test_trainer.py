@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 from nav_msgs.srv import LoadMap
 from PIL import Image as PngImage
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage
 
 from octn_ros.field import field_hash, loads_field
 from octn_ros.nodes import conversions, field_fitter, status
+from octn_ros.nodes.trainer import Trainer
 from octn_ros.planning import from_translation_quaternion
 from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.volume import Volume, save_volume
@@ -292,6 +294,31 @@ def test_a_fit_that_diverges_is_published_as_it_last_was_and_said_so(
     assert (values["state"], values["ended"], values["steps"]) == ("done", "diverged", "20")
     field = loads_field(conversions.field_data(bench.field.wait(TIMEOUT_S, is_neural)))
     assert field.description.training["ended"] == "diverged"
+
+
+def test_a_fit_that_outlives_its_node_ends_without_an_error(
+    ros: None, volume: Volume, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, begun, go, left, faults = field_fitter.fit, threading.Event(), threading.Event(), [], []
+
+    def late(*arguments: Any, **options: Any) -> Any:
+        begun.set()
+        assert go.wait(TIMEOUT_S)
+        left.append(threading.current_thread())
+        return fit(*arguments, **options)
+
+    monkeypatch.setattr(field_fitter, "fit", late)
+    monkeypatch.setattr(threading, "excepthook", lambda arguments: faults.append(arguments.exc_value))
+    trainer = Trainer(parameter_overrides=[Parameter("device", value="cpu")])
+    health = trainer._diagnostics
+    trainer._accept(volume)
+    assert begun.wait(TIMEOUT_S)
+    trainer.destroy_node()  # waits a little and no longer
+    go.set()
+    while not left:
+        time.sleep(0.001)
+    left[0].join(TIMEOUT_S)
+    assert (left[0].is_alive(), faults, health._errors) == (False, [], 0)
 
 
 def warm(message: CompressedImage) -> bool:
