@@ -92,9 +92,9 @@ class DemoCommand:
 
     def _execute_plan(self, show: Show) -> DemoResult:
         start = time.perf_counter()
+        source = self._source()  # first: a file that cannot be used is told of before all else is imported
         from octn_ros.demo.run import run_demo
 
-        source = self._source()
         seconds = {"load": time.perf_counter() - start}
         return run_demo(source, QUICK_FIT if self.quick else FIT, self.output, show, seconds, self.record)
 

@@ -23,14 +23,25 @@ class ProgressBar:
 
     def __init__(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, Progress, Task, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
+        from rich.table import Column
+        from rich.text import Text
 
+        class Remark(TextColumn):
+            """Alone gives way on a narrow terminal: cut at the end, and the other columns stay whole."""
+
+            def render(self, task: Task) -> Text:
+                text = super().render(task)
+                text.no_wrap, text.overflow = True, "ellipsis"
+                return text
+
+        whole = Column(no_wrap=True)
         self._progress = Progress(
             TextColumn("{task.description:<18}"),
-            BarColumn(bar_width=32),
+            BarColumn(bar_width=20, table_column=whole),
             TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[remark]}", style="dim"),
+            TimeElapsedColumn(table_column=whole),
+            Remark("{task.fields[remark]}", style="dim", table_column=Column(no_wrap=False)),
             console=Console(stderr=True),
         )
         self._tasks: dict[str, TaskID] = {}

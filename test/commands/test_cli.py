@@ -1,5 +1,6 @@
 """The command line as a whole: help, version, exit codes, one line per error, and what it does not import."""
 
+import re
 import subprocess
 import sys
 
@@ -8,7 +9,14 @@ import pytest
 from octn_ros import __version__
 from octn_ros.cli import main
 from octn_ros.commands.info import InfoCommand
-from octn_ros.commands.terminal import CommandError, check_output_file, make_output_directory, print_json, write_text
+from octn_ros.commands.terminal import (
+    CommandError,
+    ProgressBar,
+    check_output_file,
+    make_output_directory,
+    print_json,
+    write_text,
+)
 
 
 def test_version(capsys):
@@ -67,6 +75,26 @@ def test_importing_the_command_line_loads_nothing_heavy():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("columns", [80, 60])
+def test_a_narrow_terminal_cuts_the_remark_and_nothing_else(columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    with ProgressBar() as bar:
+        bar.show("fitting the field", 0.4, "fine, step 120, 31.05 dB " * 4)
+    line = capsys.readouterr().err.rstrip("\n")
+    assert "\n" not in line
+    assert re.fullmatch(r"fitting the field  \S{20} 100% 0:00:0\d fine, .*…", line)
+
+
+def test_a_demo_tells_of_a_missing_file_before_it_imports_the_nodes(tmp_path):
+    asks = (
+        "import sys\nfrom octn_ros.cli import main\n"
+        f"code = main(['demo', '--volume', 'missing.nii', '--output', {str(tmp_path)!r}])\n"
+        "sys.exit(code if not any(name.startswith(('torch', 'rclpy')) for name in sys.modules) else 99)"
+    )
+    done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, "missing.nii: no such file" in done.stderr) == (2, True), done.stderr
 
 
 def test_json_has_null_for_what_it_cannot_hold(capsys):
