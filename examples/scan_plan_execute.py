@@ -49,6 +49,14 @@ def is_fitted_since(message: DiagnosticArray, since_ns: int) -> bool:
     return values.get("field_kind") == "neural" and int(values["stamp_ns"]) >= since_ns
 
 
+def is_of_path(message: DiagnosticArray, waypoints: int) -> bool:
+    """Return whether a planner's report is about a path that was answered; it may come after the answer."""
+    values = values_of(message)
+    if waypoints == 0:
+        return values["state"] in ("refused", "failed")
+    return values["state"] == "planned" and int(values["waypoints"]) == waypoints
+
+
 def wait_for_node(client: GraphClient, count: Callable[[], int], what: str) -> None:
     """Return once `count` finds somebody; after a moment say what is waited for."""
     try:
@@ -101,9 +109,10 @@ def drive(corners_m: list[float]) -> None:
         request.start.header.frame_id = request.goal.header.frame_id = "oct_optical_frame"
         request.start.pose.position.x, request.start.pose.position.y = corners_m[:2]
         request.goal.pose.position.x, request.goal.pose.position.y = corners_m[2:]
-        heard = len(arm.messages)  # what was staged or done before is of another plan
+        heard, told = len(arm.messages), len(planner.messages)  # what was said before is of another plan
         path = client.call(GetPlan, "plan_raster", request, PLAN_S).plan
-        words = status.read(planner.messages[-1])[1]
+        said = planner.wait(ANSWER_S, lambda message: is_of_path(message, len(path.poses)), after=told)
+        words = status.read(said)[1]
         if not path.poses:
             raise RefusedError(f"planner: {words}")
         print(f"plan: {len(path.poses)} waypoints in {path.header.frame_id}", words, flush=True)

@@ -88,9 +88,12 @@ def plan_rectangle(
         pose.pose.position.x, pose.pose.position.y = x, y
     seen = len(plan_status.messages)
     response = client.call(GetPlan, "plan_raster", request, PLAN_S)
-    if not response.plan.poses:
-        refusals = [status.read(message)[1] for message in plan_status.messages[seen:]]
-        raise DemoError(refusals[-1] if refusals else "plan_raster gave an empty path and no reason")
+
+    def refused(report: DiagnosticArray) -> bool:
+        return status.read(report)[2].get("state") in ("refused", "failed")
+
+    if not response.plan.poses:  # the reason comes by another way than the answer, and may come after it
+        raise DemoError(status.read(plan_status.wait(ANSWER_S, refused, after=seen))[1])
 
     def planned(report: DiagnosticArray) -> bool:
         values = status.read(report)[2]
