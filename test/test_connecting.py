@@ -26,7 +26,7 @@ from octn_ros.nodes.planner import Planner
 from octn_ros.nodes.trainer import Trainer
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-WAIT_S = 60.0
+WAIT_S = 120.0
 SPACING_UM = [28.0, 14.59, 14.0]
 SMALL_FIT = {"fit__steps": 60, "fit__time_budget_s": 0.0, "fit__field__grid__log2_table_size": 12}
 CLIENT = EXAMPLES / "scan_plan_execute.py"

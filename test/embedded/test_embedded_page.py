@@ -21,7 +21,7 @@ from octn_ros.embedded.errors import RCLError
 
 PAGE = (Path(__file__).parents[2] / "docs" / "embedded.md").read_text(encoding="utf-8")
 BLOCKS = dict(re.findall(r"<!-- test: (\w+) -->\n```sh\n(.*?)```", PAGE, re.DOTALL))
-WAIT_SEC = 20.0
+WAIT_SEC = 120.0
 REFUSED_SEC = 2.0  # an order of magnitude more than the wait for what is not refused
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

@@ -12,7 +12,7 @@ from rclpy.task import Future
 from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
-WAIT_SEC = 20.0
+WAIT_SEC = 120.0
 SHORT_SEC = 0.05
 EXECUTORS = [SingleThreadedExecutor, MultiThreadedExecutor]
 

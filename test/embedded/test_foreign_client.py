@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseArray
 from std_srvs.srv import Trigger
 
 PROGRAM = Path(__file__).parent / "programs" / "foreign_client.py"
-WAIT_SEC = 60.0
+WAIT_SEC = 120.0
 FIT_SEC = 180.0  # the first fit on a machine waits for the compiler
 SHAPE = (24, 64, 64)
 RECTANGLE = (2e-4, 1.5e-4, 6e-4, 5e-4)  # x0, y0, x1, y1 in metres

@@ -11,7 +11,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-WAIT_SEC = 20.0
+WAIT_SEC = 120.0
 EXIT_SEC = 2.0
 
 

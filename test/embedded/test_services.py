@@ -9,7 +9,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
-WAIT_SEC = 20.0
+WAIT_SEC = 120.0
 SHORT_SEC = 0.05
 
 

@@ -11,7 +11,7 @@ from std_srvs.srv import Trigger
 from octn_ros.embedded.errors import InvalidHandle, RCLError
 
 ROUNDS = 8
-WAIT_SEC = 20.0
+WAIT_SEC = 120.0
 LARGE = UInt8MultiArray(data=bytes(1 << 20))  # takes long enough to send that it is nearly always on its way
 DURABILITIES = [DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL]
 

@@ -24,7 +24,7 @@ from octn_ros.nodes import qos, status
 from octn_ros.simulation import PhantomConfig, make_phantom
 from octn_ros.volume import Volume, save_volume
 
-START_S, FIT_S, ANSWER_S = 60.0, 60.0, 30.0
+START_S, FIT_S, ANSWER_S = 180.0, 180.0, 120.0
 SHAPE = (24, 64, 64)
 SMALL_FIT = ("fit.steps:=100", "fit.batch:=4096", "fit.time_budget_s:=0.0", "fit.field.grid.log2_table_size:=15")
 SIMULATOR = (

@@ -19,7 +19,7 @@ from octn_ros.nodes import conversions, qos, status
 from octn_ros.simulation import Scanner
 from octn_ros.volume import Volume
 
-START_S, FIT_S = 60.0, 60.0
+START_S, FIT_S = 180.0, 180.0
 COUNT = 256
 LARGE, TINY = (COUNT, 512, 512), (COUNT, 16, 16)
 MANY = (600, 256, 256)

@@ -17,7 +17,7 @@ from octn_ros.nodes import conversions, qos, status
 from octn_ros.simulation import BScan, PhantomConfig, Scanner, make_phantom
 from octn_ros.volume import Volume
 
-START_S, ANSWER_S = 60.0, 30.0
+START_S, ANSWER_S = 180.0, 120.0
 COUNT, SCANS = 6, 60
 SHAPE = (COUNT, 24, 16)
 SPACING_UM = (28.0, 14.59, 14.0)

@@ -24,7 +24,7 @@ from octn_ros.planning import load_calibration
 from octn_ros.resources import config_path
 from octn_ros.simulation import PhantomConfig, make_phantom
 
-START_S, ANSWER_S = 60.0, 60.0
+START_S, ANSWER_S = 180.0, 120.0
 STAMP_NS = 2_000_000_000
 OCT = "oct_optical_frame"
 LARGE = PhantomConfig(shape=(128, 160, 128), surface="wavy", spacing_m=(3e-5, 1e-5, 3e-5))

@@ -27,7 +27,7 @@ from octn_ros.field import InterpolatedField, dumps_field
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.simulation import PhantomConfig, make_phantom
 
-START_S, ANSWER_S = 60.0, 60.0
+START_S, ANSWER_S = 180.0, 120.0
 STAMP_NS = 1_000_000_000
 OCT = "oct_optical_frame"
 ROUNDS = 9

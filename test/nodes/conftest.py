@@ -27,7 +27,7 @@ from octn_ros.resources import config_path
 from octn_ros.simulation import BScan, PhantomConfig, Scanner, make_phantom
 from octn_ros.volume import Volume
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0  # of what hangs: kernels may have to be compiled first, beside other work
 SHAPE = (6, 24, 16)
 SPACING_UM = [28.0, 14.59, 14.0]
 FIT = {

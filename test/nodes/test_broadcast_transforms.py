@@ -16,7 +16,7 @@ from octn_ros.planning import from_translation_quaternion, load_calibration
 from octn_ros.resources import config_path
 from octn_ros.simulation import PhantomConfig, Scanner, make_phantom
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 ARM = from_translation_quaternion((0.4, -0.1, 0.3), (0.5, 0.5, -0.5, 0.5))
 
 

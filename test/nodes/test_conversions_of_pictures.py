@@ -18,7 +18,7 @@ from octn_ros import embedded
 from octn_ros.errors import QueryError
 from octn_ros.nodes import conversions, qos
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 FRAME = "oct_optical_frame"
 
 

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from octn_ros.nodes import qos, status
 from octn_ros.nodes.diagnostics import NodeDiagnostics
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 PERIOD_S = 0.05
 
 

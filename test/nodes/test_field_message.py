@@ -16,7 +16,7 @@ from octn_ros.field import InterpolatedField, field_hash, loads_field
 from octn_ros.nodes import conversions, qos
 from octn_ros.volume import Volume
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 
 
 @pytest.mark.parametrize("frame", ["", "a", "oct_optical_frame", "größe"])

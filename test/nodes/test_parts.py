@@ -19,7 +19,7 @@ from octn_ros.nodes.worker import Worker
 from octn_ros.planning import from_translation_quaternion, invert, load_calibration
 from octn_ros.resources import config_path
 
-WAIT_S = 20.0
+WAIT_S = 120.0
 
 
 def test_the_worker_keeps_only_the_newest_waiting_job() -> None:

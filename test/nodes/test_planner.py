@@ -24,7 +24,7 @@ from octn_ros.planning import from_translation_quaternion
 from octn_ros.simulation import PhantomConfig, make_phantom
 from octn_ros.training import FitConfig, fit
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 STAMP_NS = 3_000_000_000
 OCT = "oct_optical_frame"
 

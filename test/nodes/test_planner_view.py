@@ -39,7 +39,7 @@ from octn_ros.simulation import PhantomConfig, make_phantom
 from octn_ros.training import FitConfig, fit
 from octn_ros.volume import Volume
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 STAMP_NS = 4_000_000_000
 OCT, BASE = "oct_optical_frame", "base_link"
 FLAT = PhantomConfig(shape=(24, 96, 24), surface="flat", spacing_m=(4e-5, 1e-5, 4e-5), asymmetric=False)

@@ -29,7 +29,7 @@ from octn_ros.resources import config_path
 from octn_ros.simulation import PhantomConfig, make_phantom
 from octn_ros.volume import Volume
 
-TIMEOUT_S = 60.0  # kernels may have to be compiled first
+TIMEOUT_S = 120.0  # kernels may have to be compiled first
 STAMP_NS = 7_000_000_123
 OCT, TOOL, BASE, LASER = "oct_optical_frame", "tool0", "base_link", "laser_frame"
 STEP_M, ORIGIN_M = 1e-5, (1e-3, -2e-3, 5e-4)

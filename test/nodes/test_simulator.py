@@ -18,7 +18,7 @@ from octn_ros.nodes.simulator import Simulator
 from octn_ros.simulation import PhantomConfig, Station, make_phantom
 from octn_ros.volume import save_volume
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 SHAPE = (5, 24, 16)
 
 

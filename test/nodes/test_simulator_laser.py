@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from octn_ros.nodes import qos
 from octn_ros.simulation import Arm, LaserConfig, PhantomTissue
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 PERIOD_NS = 8_000_000
 ON_THE_WAY_NS = 150_000_000  # of a request or message through the graph, beside other work on the machine
 

@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2
 
 from octn_ros.nodes import conversions, qos, status
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 SILENCE_S, PERIOD_S = 1.6, 0.008
 ON_THE_WAY_S = 0.5  # of a message through the graph, beside other work on the machine
 TOPICS = {"waypoints": PoseArray, "tool_path": PointCloud2, "plan_status": DiagnosticArray}

@@ -26,7 +26,7 @@ from octn_ros.training.divergence import DivergenceGuard
 from octn_ros.volume import Volume, save_volume
 from octn_ros.volume.assembly import CScanAssembler
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 SHAPE = (6, 24, 16)
 SPACING_UM = [28.0, 14.59, 14.0]
 SPACING_M = tuple(s * 1e-6 for s in SPACING_UM)

@@ -16,7 +16,7 @@ import zenoh
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh import ext
 
-WAIT_SEC = 30.0
+WAIT_SEC = 120.0
 STEP_SEC = 0.05
 ATTACHMENT = struct.Struct("<qqB16s")
 SENDER = b"foreign client !"

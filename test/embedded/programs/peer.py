@@ -10,7 +10,7 @@ import rclpy  # noqa: E402
 from rclpy.executors import ExternalShutdownException  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 
-WAIT_SEC = 20.0
+WAIT_SEC = 120.0
 
 rclpy.init(args=[])
 node = Node(sys.argv[1])
