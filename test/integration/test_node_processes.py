@@ -24,7 +24,7 @@ from octn_ros.volume import save_volume
 START_TIMEOUT_S = 180.0
 FIT_TIMEOUT_S = 180.0
 ANSWER_TIMEOUT_S = 120.0
-EXIT_TIMEOUT_S = 10.0  # 2 s are promised, of a machine that does nothing else
+EXIT_TIMEOUT_S = 30.0  # 2 s are promised, of a machine that does nothing else
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "scan_plan_execute.py"
 SHAPE = (24, 64, 64)
