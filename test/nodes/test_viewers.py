@@ -68,6 +68,7 @@ CHOICES = {
     "Position Transformer": {"XYZ"},
     "Color Transformer": {"Intensity", "RGB8", "RGBF32", "AxisColor", "FlatColor"},
 }
+DOCKS = {"rviz_common/Displays", "rviz_common/Views", "Image"}
 # RViz raises what is less, which at the scale of a scan shows.
 LEAST = {"Size (m)": 1e-4, "Size (Pixels)": 1.0, "Line Width": 1e-3, "Distance": 1e-3, "Near Clip Distance": 1e-3}
 
@@ -165,6 +166,11 @@ def test_rviz_knows_all_that_is_set() -> None:
     assert {plugin(tool) for tool in view["Tools"]} <= {"MoveCamera", "Select", "PublishPoint"}
     geometry = file["Window Geometry"]
     assert (geometry["Hide Left Dock"], geometry["Hide Right Dock"]) == (False, False)
+    # Qt puts a dock of a name that its state does not have wherever there is room.
+    docks = {entry["Name"] for entry in [*file["Panels"], *view["Displays"]] if plugin(entry) in DOCKS}
+    state = bytes.fromhex(geometry["QMainWindow State"])
+    assert len(docks) == 4
+    assert {dock for dock in docks if dock.encode("utf-16-be") in state} == docks
 
 
 def _panels(layout: Any) -> Iterator[str]:
