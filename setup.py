@@ -78,7 +78,7 @@ setup(
         "nibabel>=5.0",  # NIfTI
         "numba>=0.60",  # compiled fits and queries on the CPU, without a compiler on the user's machine
         "numpy>=1.26",
-        "pillow>=10.0",  # folders of numbered images
+        "pillow>=10.1",  # folders of numbered images; words on pictures in a size of choice (10.1)
         "pydicom>=3.0",  # DICOM ophthalmic tomography
         "pyyaml>=6.0",  # calibration files
         "rich>=13.0",  # tables and progress bars

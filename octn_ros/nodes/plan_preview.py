@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from octn_ros.nodes.conversions import GridView
 from octn_ros.nodes.plan_pieces import GIVEN_UP_COLOUR, PlanPieces
 from octn_ros.volume import VolumeGeometry
 
 SIDE_PX = 800  # of the picture's longer side, about
-TEXT_PX = 44  # height of the strip with words below it
+FONT_PX, LINE_PX = 20, 26  # of the words below it: viewers show it at half its size
+MARGIN_PX = 8
 _NO_VIEW, _PAPER, _INK = 60, (24, 24, 28), (230, 230, 230)
 _START_COLOUR = (255, 255, 255)
 
 
 def draw_preview(
-    pieces: PlanPieces, geometry: VolumeGeometry, view: GridView | None, words: tuple[str, str]
+    pieces: PlanPieces, geometry: VolumeGeometry, view: GridView | None, words: Sequence[str]
 ) -> NDArray[np.uint8]:
     """Draw the raster in its colours over the en-face view, the start ringed in white, given-up points in red.
 
@@ -25,7 +29,7 @@ def draw_preview(
         pieces: the plan in the OCT frame; its depth is not seen.
         geometry: of the scan.
         view: its view from above; None to draw over plain grey.
-        words: two lines below the picture.
+        words: sentences below the picture, each on a line of its own or on several.
 
     Returns:
         Pixels [rows, columns, (red, green, blue)]; x runs to the right and y down, as in the view.
@@ -36,7 +40,10 @@ def draw_preview(
     scale = SIDE_PX / max(rows, columns)
     size = max(1, round(columns * scale)), max(1, round(rows * scale))
     grey = Image.fromarray(_stretched(view.cells)).resize(size, Image.Resampling.NEAREST)
-    picture = Image.new("RGB", (size[0], size[1] + TEXT_PX), _PAPER)
+    font = ImageFont.load_default(FONT_PX)
+    columns_of_text = max(1, int((size[0] - 2 * MARGIN_PX) / font.getlength("0")))
+    lines = [line for sentence in words for line in textwrap.wrap(sentence, columns_of_text)]
+    picture = Image.new("RGB", (size[0], size[1] + LINE_PX * len(lines) + 2 * MARGIN_PX), _PAPER)
     picture.paste(grey.convert("RGB"), (0, 0))
     draw = ImageDraw.Draw(picture)
 
@@ -52,8 +59,8 @@ def draw_preview(
     if len(pieces.pieces_m):
         x, y = place(pieces.pieces_m[0, 0]).tolist()
         draw.ellipse((x - 6, y - 6, x + 6, y + 6), outline=_START_COLOUR, width=2)
-    for line, text in enumerate(words):
-        draw.text((8, size[1] + 6 + 18 * line), text, fill=_INK)
+    for number, line in enumerate(lines):
+        draw.text((MARGIN_PX, size[1] + MARGIN_PX + LINE_PX * number), line, fill=_INK, font=font)
     return np.asarray(picture)
 
 

@@ -32,7 +32,7 @@ from octn_ros.field import (
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.diagnostics import TOPIC as DIAGNOSTICS
 from octn_ros.nodes.field_receiver import _check_values
-from octn_ros.nodes.plan_preview import SIDE_PX, TEXT_PX
+from octn_ros.nodes.plan_preview import LINE_PX, MARGIN_PX, SIDE_PX
 from octn_ros.nodes.planner import Planner
 from octn_ros.planning import from_translation_quaternion
 from octn_ros.simulation import PhantomConfig, make_phantom
@@ -120,7 +120,11 @@ def test_path_markers_and_preview_show_the_plan_until_a_new_field_comes(
 
     preview = bench.preview.wait(TIMEOUT_S)
     assert preview.header == conversions.header(STAMP_NS, OCT)
-    assert (preview.height, preview.width, preview.encoding) == (SIDE_PX + TEXT_PX, SIDE_PX, "rgb8")
+    assert (preview.width, preview.encoding) == (SIDE_PX, "rgb8")
+    for line in range(4):  # what the plan is took three lines, and of what field it is, one
+        words = picture(preview)[SIDE_PX:][LINE_PX * line :][:LINE_PX].max(axis=2) > 128
+        assert words.any(), f"line {line} below the view is empty"
+        assert not words[:, -MARGIN_PX:].any(), f"line {line} is cut"
     drawn = is_coloured(picture(preview)[:SIDE_PX])
     row, column = np.nonzero(drawn)
     # The rectangle lies in the middle of the scan: 23 * 40 um plus the half voxels on both sides.
