@@ -41,7 +41,7 @@ class Graph:
 
     def __init__(self, launch: Callable[..., Any], client: Any, folder: Path) -> None:
         self.launch, self.client, self.folder = launch, client, folder
-        self.progress = client.watch(DiagnosticArray, "fit_progress", qos.STREAM)
+        self.progress = client.watch(DiagnosticArray, "fit_progress", qos.REPORTS)  # a restarted trainer speaks early
         self.planned = client.watch(DiagnosticArray, "plan_status")
         self.health = client.watch(DiagnosticArray, "/diagnostics", qos.STREAM)
         self.field = client.watch(CompressedImage, "field")
