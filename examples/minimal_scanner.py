@@ -14,6 +14,7 @@ import octn_ros.nodes  # noqa: F401 - makes rclpy and the message packages impor
 # isort: split
 import rclpy
 from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -45,7 +46,7 @@ class MinimalScanner(Node):
         self._image = self.create_publisher(Image, "bscan", everything)
         self._pose = self.create_publisher(PoseStamped, "bscan_pose", everything)
         self.create_service(Trigger, "scan", self._scan)
-        self._index, self._images = 0, iter(())
+        self._index, self._images, self._begun = 0, iter(()), self.get_clock().now()
         self._timer = self.create_timer(PERIOD_S, self._send)
         self._timer.cancel()
         self.get_logger().info(f"ready: {BSCANS} B-scans of {AXIAL} axial x {LATERAL} lateral on each call of scan")
@@ -70,7 +71,11 @@ class MinimalScanner(Node):
             self._timer.cancel()
             self.get_logger().info(f"{self._index} B-scans sent")
             return
-        stamp = self.get_clock().now().to_msg()  # yours: when the B-scan was acquired, by the same clock as the arm's
+        # Yours: when the B-scan was acquired, by the same clock as the arm's, however late it is sent. A busy computer
+        # sends some late; stamped with that, they would look as if others between them had been lost.
+        if self._index == 0:
+            self._begun = self.get_clock().now()
+        stamp = (self._begun + Duration(seconds=self._index * PERIOD_S)).to_msg()
         image = Image(height=AXIAL, width=LATERAL, encoding="mono8", step=LATERAL)
         image.header.stamp, image.header.frame_id = stamp, "oct_bscan_frame"
         image.data = array.array("B", grey.tobytes())
