@@ -90,7 +90,11 @@ def _refuse(reason: str) -> int:
 
 def _remedy(error: Exception) -> str:
     """The most common slip: ROS 2 takes a number without a point for an integer, and no integer for a float."""
-    slip = isinstance(error, InvalidParameterTypeException) and "'INTEGER'" in str(error) and "DOUBLE" in str(error)
+    if not isinstance(error, InvalidParameterTypeException):
+        return ""
+    if "'DOUBLE_ARRAY'" in str(error):
+        return "; a list of numbers is given in brackets, all with a point, as '[28.0, 14.59, 14.0]'"
+    slip = "'INTEGER'" in str(error) and "'DOUBLE'" in str(error)
     return "; a number without decimals is given with a point, as 50.0" if slip else ""
 
 

@@ -102,7 +102,8 @@ def refuse_if_too_few(search: SurfaceSearch, points_m: NDArray[np.float64], tau:
     raise PlanError(
         f"expected at most {config.max_given_up:.0%} of the waypoints given up, got {len(lost)} of "
         f"{len(search.given_up)} ({share:.0%}), {count} of them because {GiveUp(code).text} (tau {tau:.3f}); the first "
-        f"at ({x:.3f}, {y:.3f}) mm. Move the raster to clear tissue, or scan again"
+        f"at ({x:.3f}, {y:.3f}) mm. Move the raster to clear tissue, give tau where "
+        "another is known (octn surface tells one), plan on a fitted field, or scan again"
     )
 
 

@@ -152,7 +152,10 @@ class CScanAssembler:
             self._drop(f"expected B-scan {self._received} of {self._count}, got B-scan {index} again")
         if index > self._received:
             missing = f"{self._received}" if index == self._received + 1 else f"{self._received} to {index - 1}"
-            self._drop(f"expected B-scan {self._received} of {self._count}, got B-scan {index}; missing: {missing}")
+            self._drop(
+                f"expected B-scan {self._received} of {self._count}, got B-scan {index}; missing: {missing}"
+                f"{self._places.why_missing(index)}"
+            )
         if image.shape != first.shape or image.dtype != first.dtype:
             self._drop(
                 f"B-scan {index}: expected {first.shape} of {first.dtype} as in B-scan 0, "

@@ -54,6 +54,15 @@ class BScanPlaces:
             return None
         return round((self._last_y_m - self._first_m[1]) / (self._taken - 1), _STEP_DECIMALS)
 
+    def why_missing(self, index: int) -> str:
+        """Return what else than a loss may be the reason that B-scan `index` came after the ones taken so far."""
+        if self._stated_m is None or self._taken != 1:
+            return ""
+        return (
+            f", or B-scans lie {index * self._stated_m * 1e6:g} um apart and not the {self._stated_m * 1e6:g} um that "
+            "are stated (spacing_um)"
+        )
+
     def forget(self) -> None:
         """Begin anew: no B-scan of the present C-scan has been taken."""
         self._taken = 0
@@ -83,7 +92,10 @@ class BScanPlaces:
                 f"{np.round(pose[:3, :3], 4).tolist()}; mirror a scan direction in the scanner's configuration instead"
             )
         if not 0 <= index < self._count:
-            raise VolumeError(f"expected B-scan indices 0 to {self._count - 1}, got {index} (y = {y * 1e6:g} um)")
+            raise VolumeError(
+                f"expected B-scan indices 0 to {self._count - 1}, got {index} (y = {y * 1e6:g} um); of a scanner that "
+                f"sends more than the {self._count} that are stated (bscan_count) a part was taken for the whole"
+            )
         if index and self._taken:
             self._check_beside_first(index, pose)
         return index

@@ -174,6 +174,7 @@ def test_what_a_node_cannot_start_with_ends_with_code_2_and_one_line() -> None:
         ("query", ["-p", "preset:=fast"], "--ros-args -p NAME:=VALUE"),
         ("query", ["--ros-args", "--params-file", "/nowhere/octn.yaml"], "/nowhere/octn.yaml"),
         ("simulator", parameters("time_factor:=50"), "with a point, as 50.0"),
+        ("trainer", parameters("spacing_um:=28"), "as '[28.0, 14.59, 14.0]'"),
     ]
     commands = [[sys.executable, "-m", f"octn_ros.nodes.{node}", *arguments] for node, arguments, _ in cases]
     # All at once: each takes seconds to load torch.

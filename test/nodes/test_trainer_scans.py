@@ -69,8 +69,17 @@ def test_a_stated_step_is_held_against_the_poses(trainer_bench: Callable[..., An
     bench = trainer_bench(**(OF_SCANNER | {"bscan_count": 3}))
     for bscan in bscans(volume)[::2]:
         bench.send(bscan)
-    bench.until("C-scan dropped: expected B-scan 1 of 3, got B-scan 2; missing: 1")
+    bench.until(
+        "C-scan dropped: expected B-scan 1 of 3, got B-scan 2; missing: 1",
+        "or B-scans lie 56 um apart and not the 28 um that are stated (spacing_um)",
+    )
     assert not bench.field.messages
+
+
+def test_a_scanner_that_sends_more_than_stated_is_told_of(trainer_bench: Callable[..., Any], volume: Volume) -> None:
+    bench = trainer_bench(**(OF_SCANNER | {"bscan_count": COUNT - 2}))
+    bench.scan(volume, STAMP_NS)
+    bench.until(f"got {COUNT - 2} (y = 112 um)", f"more than the {COUNT - 2} that are stated (bscan_count)")
 
 
 @pytest.mark.parametrize("parameters", [OF_SCANNER, FOLLOWING], ids=["stated", "from poses"])
