@@ -6,6 +6,7 @@ Usage: python examples/scan_plan_execute.py X1_MM Y1_MM X2_MM Y2_MM    (opposite
 import argparse
 import signal
 import sys
+import time
 from collections.abc import Callable
 
 import octn_ros.nodes  # noqa: F401 - makes rclpy and the message packages importable where ROS 2 is missing
@@ -19,11 +20,12 @@ from rclpy.utilities import remove_ros_args
 from std_srvs.srv import SetBool, Trigger
 
 from octn_ros.nodes import qos, status
-from octn_ros.nodes.client import GraphClient
+from octn_ros.nodes.client import GraphClient, Watch
 
 LARGEST_MM = 100.0  # no C-scan is as wide: what lies beyond has been given in micrometres
 # How long is waited for what, in seconds: limits for what hangs, since what is refused says so.
 MEETING_S, START_S, ANSWER_S, FIT_S, PLAN_S, EXECUTION_S = 1.0, 120.0, 60.0, 600.0, 120.0, 300.0
+LOOK_S = 1.0  # between looks whether the node that is waited for is still there
 EXIT_REFUSED, EXIT_INTERRUPTED = 1, 130
 
 
@@ -66,6 +68,34 @@ def wait_for_node(client: GraphClient, count: Callable[[], int], what: str) -> N
         client.wait_for(lambda: count() > 0, START_S, what)
 
 
+def wait_for_report(
+    client: GraphClient,
+    watch: Watch[DiagnosticArray],
+    topic: str,
+    timeout_s: float,
+    accept: Callable[[DiagnosticArray], bool],
+    after: int = 0,
+) -> DiagnosticArray:
+    """Return the first report of a node that `accept` says yes to.
+
+    Raises:
+        RefusedError: the node has left the graph.
+        TimeoutError: with what it said last.
+    """
+    end = time.monotonic() + timeout_s
+    while True:
+        try:
+            return watch.wait(min(LOOK_S, timeout_s), accept, after=after)
+        except TimeoutError as error:
+            if client.node.count_publishers(topic) == 0:
+                raise RefusedError(f"{topic}: its node has left the graph") from error
+            if time.monotonic() >= end:
+                last = [status.read(message)[1] for message in watch.messages[-1:]]
+                raise TimeoutError(
+                    f"{topic}: nothing as awaited in {timeout_s:g} s; the last report: {last}"
+                ) from error
+
+
 def ask(client: GraphClient, service: str, timeout_s: float = ANSWER_S) -> None:
     """Call one of the Trigger services.
 
@@ -98,12 +128,12 @@ def drive(corners_m: list[float]) -> None:
         asked_ns = client.node.get_clock().now().nanoseconds
         ask(client, "scan")  # who gives up waiting for an answer has not called the scan off
         print("waiting for the fitted field", file=sys.stderr, flush=True)
-        ended = fit.wait(FIT_S, lambda message: is_end_of_fit(message, asked_ns))
+        ended = wait_for_report(client, fit, "fit_progress", FIT_S, lambda message: is_end_of_fit(message, asked_ns))
         if values_of(ended)["state"] != "done":
             raise RefusedError(f"trainer: {status.read(ended)[1]}")
         # The field through the measured voxels came first, then the fitted one, which takes its plans away again. A
         # trainer that was started again may have published the one it kept, of an older scan.
-        planner.wait(PLAN_S, lambda message: is_fitted_since(message, asked_ns))
+        wait_for_report(client, planner, "plan_status", PLAN_S, lambda message: is_fitted_since(message, asked_ns))
 
         request = GetPlan.Request()  # its tolerance is the line spacing in metres, 0 for the planner's parameter
         request.start.header.frame_id = request.goal.header.frame_id = "oct_optical_frame"
@@ -111,18 +141,30 @@ def drive(corners_m: list[float]) -> None:
         request.goal.pose.position.x, request.goal.pose.position.y = corners_m[2:]
         heard, told = len(arm.messages), len(planner.messages)  # what was said before is of another plan
         path = client.call(GetPlan, "plan_raster", request, PLAN_S).plan
-        said = planner.wait(ANSWER_S, lambda message: is_of_path(message, len(path.poses)), after=told)
+        said = wait_for_report(
+            client, planner, "plan_status", ANSWER_S, lambda message: is_of_path(message, len(path.poses)), told
+        )
         words = status.read(said)[1]
         if not path.poses:
             raise RefusedError(f"planner: {words}")
         print(f"plan: {len(path.poses)} waypoints in {path.header.frame_id}", words, flush=True)
 
         wait_for_node(client, lambda: graph.count_publishers("execution_status"), "an arm that tells execution_status")
-        arm.wait(ANSWER_S, lambda message: values_of(message)["state"] == "staged", after=heard)
+        arm_topic = "execution_status"
+        wait_for_report(
+            client, arm, arm_topic, ANSWER_S, lambda message: values_of(message)["state"] == "staged", heard
+        )
         heard = len(arm.messages)
         client.call(SetBool, "enable_laser", SetBool.Request(data=True), ANSWER_S)
         ask(client, "execute", EXECUTION_S)  # an arm may answer when it has begun, or when it has come to the end
-        done = arm.wait(EXECUTION_S, lambda message: values_of(message)["state"] in ("done", "aborted"), after=heard)
+        done = wait_for_report(
+            client,
+            arm,
+            arm_topic,
+            EXECUTION_S,
+            lambda message: values_of(message)["state"] in ("done", "aborted"),
+            heard,
+        )
         print("arm:", status.read(done)[1])
         if values_of(done)["state"] != "done":
             raise RefusedError("the arm has aborted")

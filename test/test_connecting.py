@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.srv import GetPlan
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 
-from octn_ros.nodes import conversions, status
+from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.planner import Planner
 from octn_ros.nodes.trainer import Trainer
 
@@ -159,6 +159,25 @@ def test_the_client_works_scanner_and_arm(spin: Callable[..., Any], opposite_mm:
     assert count > 10
     assert lines[1].startswith(f"plan: {count} waypoints in tool0")
     assert lines[2:] == [f"execute: {count} waypoints reached", f"arm: {count} waypoints reached"]
+
+
+def test_the_client_says_who_has_left_and_what_was_said_last(client: Any) -> None:
+    program, report = (
+        example("scan_plan_execute"),
+        DiagnosticArray(status=[DiagnosticStatus(message="plan refused: 2")]),
+    )
+    watch = client.watch(DiagnosticArray, "execution_status")
+
+    def wait() -> Any:
+        return program.wait_for_report(client, watch, "execution_status", 0.1, lambda message: False)
+
+    with pytest.raises(program.RefusedError, match="execution_status: its node has left the graph"):
+        wait()
+    arm = client.node.create_publisher(DiagnosticArray, "execution_status", qos.LATCHED)
+    arm.publish(report)
+    watch.wait(WAIT_S)
+    with pytest.raises(TimeoutError, match=r"in 0\.1 s; the last report: \['plan refused: 2'\]"):
+        wait()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
