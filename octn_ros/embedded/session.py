@@ -14,7 +14,9 @@ import zenoh
 from octn_ros.embedded.errors import RCLError
 
 CONFIG_OVERRIDE = "ZENOH_CONFIG_OVERRIDE"  # rmw_zenoh's name, form and meaning
+PORT_VARIABLE = "OCTN_RENDEZVOUS_PORT"
 RENDEZVOUS_PORT = 17447  # plus the domain id; on loopback
+LARGEST_PORT = 65535
 ROUTER_PORT = 7447  # where rmw_zenohd listens, if there is one
 LARGEST_KEPT_BLOCK = 1 << 30
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
@@ -28,8 +30,14 @@ def session_config(domain_id: int) -> dict[str, Any]:
     of the machine can join, nobody else. `config_overrides` may change that.
 
     The environment variable OCTN_RENDEZVOUS_PORT sets the port, which is 17447 plus the domain id.
+
+    Raises:
+        RCLError: OCTN_RENDEZVOUS_PORT is no port.
     """
-    port = int(os.environ.get("OCTN_RENDEZVOUS_PORT", RENDEZVOUS_PORT + domain_id))
+    given = os.environ.get(PORT_VARIABLE, str(RENDEZVOUS_PORT + domain_id))
+    if not given.isdecimal() or not 1 <= int(given) <= LARGEST_PORT:
+        raise RCLError(f"{PORT_VARIABLE}: expected a port, 1 to {LARGEST_PORT}, got '{given}'")
+    port = int(given)
     retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
     everyone = {"router": ["router", "peer"], "peer": ["router", "peer"]}
     queue = "transport/link/tx/queue"
@@ -83,7 +91,8 @@ def open_session(domain_id: int) -> zenoh.Session:
     (use the spawn method of multiprocessing).
 
     Raises:
-        RCLError: ZENOH_CONFIG_OVERRIDE is not of its form, or has a key or value that Zenoh does not know.
+        RCLError: OCTN_RENDEZVOUS_PORT is no port; ZENOH_CONFIG_OVERRIDE is not of its form, or has a key or value that
+            Zenoh does not know.
         zenoh.ZError: no socket on loopback can be had, or what the override asks for cannot be opened.
     """
     _keep_large_blocks()

@@ -5,6 +5,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_parameter_events
 
 from octn_ros.embedded import definitions, session, wire
+from octn_ros.embedded.errors import RCLError
 from octn_ros.embedded.wire import Token
 
 SESSION = "943f9ebc32acd3e072bfda12ce8c7ed2"
@@ -103,3 +104,10 @@ def test_a_session_listens_on_loopback_only(graph):
 def test_the_port_follows_the_domain(monkeypatch):
     monkeypatch.delenv("OCTN_RENDEZVOUS_PORT")
     assert session.session_config(3)["listen/endpoints"][0].startswith("tcp/127.0.0.1:17450")
+
+
+@pytest.mark.parametrize("text", ["80000", "0", "-1", "rviz", ""])
+def test_what_is_no_port_is_refused(monkeypatch, text):
+    monkeypatch.setenv("OCTN_RENDEZVOUS_PORT", text)
+    with pytest.raises(RCLError, match=f"OCTN_RENDEZVOUS_PORT: expected a port, 1 to 65535, got '{text}'"):
+        session.session_config(3)
