@@ -149,8 +149,8 @@ def drive(corners_m: list[float]) -> None:
             raise RefusedError(f"planner: {words}")
         print(f"plan: {len(path.poses)} waypoints in {path.header.frame_id}", words, flush=True)
 
-        wait_for_node(client, lambda: graph.count_publishers("execution_status"), "an arm that tells execution_status")
         arm_topic = "execution_status"
+        wait_for_node(client, lambda: graph.count_publishers(arm_topic), f"an arm that tells {arm_topic}")
         wait_for_report(
             client, arm, arm_topic, ANSWER_S, lambda message: values_of(message)["state"] == "staged", heard
         )

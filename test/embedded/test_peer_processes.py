@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 WAIT_SEC = 120.0
-EXIT_SEC = 10.0  # of an idle machine a tenth of a second
+EXIT_SEC = 2.0
 
 
 def said(process):

@@ -120,9 +120,11 @@ def test_path_markers_and_preview_show_the_plan_until_a_new_field_comes(
 
     preview = bench.preview.wait(TIMEOUT_S)
     assert preview.header == conversions.header(STAMP_NS, OCT)
-    assert (preview.width, preview.encoding) == (SIDE_PX, "rgb8")
-    for line in range(4):  # what the plan is took three lines, and of what field it is, one
-        words = picture(preview)[SIDE_PX:][LINE_PX * line :][:LINE_PX].max(axis=2) > 128
+    lines = 3  # two say what the plan is, and one of what field
+    height = SIDE_PX + lines * LINE_PX + 2 * MARGIN_PX
+    assert (preview.height, preview.width, preview.encoding) == (height, SIDE_PX, "rgb8")
+    for line in range(lines):
+        words = picture(preview)[SIDE_PX + MARGIN_PX + LINE_PX * line :][:LINE_PX].max(axis=2) > 128
         assert words.any(), f"line {line} below the view is empty"
         assert not words[:, -MARGIN_PX:].any(), f"line {line} is cut"
     drawn = is_coloured(picture(preview)[:SIDE_PX])

@@ -299,26 +299,23 @@ def test_a_fit_that_diverges_is_published_as_it_last_was_and_said_so(
 def test_a_fit_that_outlives_its_node_ends_without_an_error(
     ros: None, volume: Volume, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fit, begun, go, left, faults = field_fitter.fit, threading.Event(), threading.Event(), [], []
+    fit, begun, go, faults = field_fitter.fit, threading.Event(), threading.Event(), []
 
     def late(*arguments: Any, **options: Any) -> Any:
         begun.set()
         assert go.wait(TIMEOUT_S)
-        left.append(threading.current_thread())
         return fit(*arguments, **options)
 
     monkeypatch.setattr(field_fitter, "fit", late)
     monkeypatch.setattr(threading, "excepthook", lambda arguments: faults.append(arguments.exc_value))
     trainer = Trainer(parameter_overrides=[Parameter("device", value="cpu")])
-    health = trainer._diagnostics
+    health, worker = trainer._diagnostics, trainer._fitter._worker._thread
     trainer._accept(volume)
     assert begun.wait(TIMEOUT_S)
     trainer.destroy_node()  # waits a little and no longer
     go.set()
-    while not left:
-        time.sleep(0.001)
-    left[0].join(TIMEOUT_S)
-    assert (left[0].is_alive(), faults, health._errors) == (False, [], 0)
+    worker.join(TIMEOUT_S)
+    assert (worker.is_alive(), faults, health._errors) == (False, [], 0)
 
 
 def warm(message: CompressedImage) -> bool:
