@@ -34,6 +34,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     Returns:
         The exit code: 0 after an ordered end, 2 for arguments or parameters that the node cannot start with.
     """
+    interrupts = _Interrupts()  # before rclpy's own handler, which calls this one
     try:
         unknown = remove_ros_args(args)[1:]
         if not unknown:
@@ -58,6 +59,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         for name in undeclared_parameters(node):
             node.get_logger().warning(f"there is no parameter {name}; what was given for it is ignored")
         executor.add_node(node)
+        interrupts.hold()
         executor.spin()
         code = 0
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -80,6 +82,27 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         _ignore_signals()  # rclpy has put back the handlers from before
         leave_workers_behind(code)
     return code
+
+
+class _Interrupts:
+    """What SIGINT does beside shutting the context down, from now on: it raises KeyboardInterrupt, at most once.
+
+    An exception that comes out anywhere can leave things half done. In the start of the executor's first thread it
+    leaves one that concurrent.futures does not know of and never ends, and Python would wait for it for ever.
+    """
+
+    def __init__(self) -> None:
+        self._raises = True
+        signal.signal(signal.SIGINT, self._interrupt)
+
+    def hold(self) -> None:
+        """Raise no more: the spinning executor sees that the context was shut down, as after SIGTERM."""
+        self._raises = False
+
+    def _interrupt(self, *_: object) -> None:
+        if self._raises:
+            self._raises = False
+            raise KeyboardInterrupt
 
 
 def _refuse(reason: str) -> int:

@@ -1,4 +1,4 @@
-"""The exit code of a node that cannot start and of a demo that fails, whatever their threads are still at."""
+"""The exit code of a node that cannot start or gets a signal, and of a demo that fails, whatever their threads do."""
 
 from __future__ import annotations
 
@@ -41,6 +41,41 @@ def make_node():
 
 sys.exit(process.run(make_node, []))
 """
+SIGNALLED = """
+import signal, sys, threading
+from octn_ros.nodes import process
+from rclpy.node import Node
+
+start = threading.Thread.start
+
+def signalled(moment):
+    if moment == "{moment}":
+        for name in "{names}".split():
+            signal.raise_signal(signal.Signals[name])
+
+def start_signalled(thread):
+    start(thread)
+    if thread.name.startswith("ThreadPoolExecutor"):
+        signalled("the start of the executor's first thread")
+
+def make_node():
+    threading.Thread.start = start_signalled
+    node = Node("signalled")
+    node.create_timer(0.001, lambda: None)
+    signalled("the making of the node")
+    return node
+
+sys.exit(process.run(make_node, []))
+"""
+
+
+@pytest.mark.parametrize("names", ["SIGINT", "SIGINT SIGINT", "SIGTERM", "SIGTERM SIGINT"])
+@pytest.mark.parametrize("moment", ["the making of the node", "the start of the executor's first thread"])
+def test_a_signal_ends_a_node_in_order_whenever_it_comes(moment: str, names: str) -> None:
+    command = [sys.executable, "-c", SIGNALLED.format(moment=moment, names=names)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=EXIT_SEC, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "Traceback" not in ended.stderr
 
 
 @pytest.mark.parametrize(
