@@ -25,6 +25,8 @@ from octn_ros.volume import VolumeGeometry
 _INSIDE_M = 1e-9
 # Movement in axial voxels at which the least squares are done: a hundredth of a micrometre or so.
 _STILL_VOXELS = 1e-3
+# Share of the step from air to tissue that the estimated tau keeps from either.
+_APART = 0.25
 
 
 def find_surface(
@@ -221,14 +223,20 @@ def _levels(
 
 
 def surface_tau(field: Field, surface: CoarseSurface) -> float:
-    """Return tau as the paper estimates it (eq. 7): the median intensity of the coarse surface's points."""
+    """Return tau as the paper estimates it (eq. 7): the median intensity of the coarse surface's points.
+
+    Unlike the paper's it is kept apart from air and tissue: below a sharp edge that soon fades, the middle of the step
+    between their levels is reached above the edge, so that the median is that of air.
+    """
     geometry = field.geometry
     rows, columns = surface.depth.shape
     x, y = np.tile(surface.lateral_m, rows), np.repeat(surface.bscan_m, columns)
     z = geometry.origin_m[2] + surface.depth.ravel() * geometry.spacing_m[1]
     points = geometry.metric_to_canonical(np.column_stack([x, y, z])).astype(np.float32)
     with torch.no_grad():
-        return float(field.evaluate(torch.from_numpy(points).to(field.device)).median())
+        median = float(field.evaluate(torch.from_numpy(points).to(field.device)).median())
+    air, step = float(np.median(surface.air)), surface.typical_step
+    return min(max(median, air + _APART * step), air + (1.0 - _APART) * step)
 
 
 def _smooth(

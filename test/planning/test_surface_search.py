@@ -20,6 +20,7 @@ from octn_ros.planning import (
 from octn_ros.planning.axial_root import AxialLines, Brackets, bracket_rises, refine_roots
 from octn_ros.planning.step_levels import StepLevels
 from octn_ros.simulation import make_phantom, named_phantom
+from octn_ros.volume import Volume, VolumeGeometry
 
 TAU = 0.4  # the middle of air and tissue, so that the level set is the true surface
 RASTER = rectangle_raster((2e-4, -1e-4), (8e-4, 7e-4), 0.0)
@@ -104,6 +105,22 @@ def test_the_air_to_tissue_crossing_is_taken(make_field):
     search = find_surface(field, RASTER, 0.3)
     assert not search.given_up.any()
     assert search.depth_m.max() < 1.02e-3
+
+
+def test_the_estimated_tau_keeps_apart_from_air_under_a_sharp_edge_that_soon_fades():
+    geometry = VolumeGeometry((40, 96, 72), (28e-6, 14e-6, 14e-6))
+    _, axial, lateral = np.meshgrid(*(np.arange(count) for count in geometry.shape), indexing="ij")
+    below = axial - (36.7 + 0.1 * lateral)  # voxels
+    clean = 0.05 + 0.55 * np.clip(below + 0.5, 0, 1) * np.exp(-0.1 * below.clip(0))
+    noisy = clean + np.random.default_rng(0).normal(0, 0.05, geometry.shape)
+    volume = Volume(np.rint(255 * noisy.clip(0, 1)).astype(np.uint8), geometry, (0.0, 255.0), "linear")
+    raster = rectangle_raster((1.5e-4, 1.5e-4), (8e-4, 9e-4), 0.0)
+    search = find_surface(InterpolatedField(volume), raster)
+    assert 0.1 < search.tau[0] < 0.2  # the median over the coarse surface is that of air, 0.06
+    assert search.given_up.mean() < 0.02
+    truth = 14e-6 * (36.7 + 0.1 * raster.points_m[:, 0] / 14e-6)
+    assert np.nanmax(np.abs(search.depth_m - truth)) < 28e-6
+    assert np.nanmedian(np.abs(search.depth_m - truth)) < 14e-6
 
 
 def test_points_without_tissue_are_given_up_with_a_reason(make_field):
