@@ -65,7 +65,8 @@ class ReceivedField:
 class FieldReceiver:
     """Subscribes to `field` and keeps the last good one; a bad message is reported and changes nothing.
 
-    Nor does a field that is here already, which a trainer that starts again publishes: its plans still hold.
+    Nor does a field that is here already, which a trainer that starts again publishes: its plans still hold. A field of
+    an older scan is taken, as a file may be loaded on purpose; who listens is told how much older.
 
     Declares the parameters of `FieldRequirements`. A kind that was refused is not kept for later: after the parameter
     was lowered, the next field counts.
@@ -73,7 +74,8 @@ class FieldReceiver:
     Args:
         node: the node that listens.
         device: where the field is put.
-        received: called with each new field.
+        received: called with each new field, and by how many seconds its scan is older than that of the last one, 0
+            where it is not.
         refused: called with the reason why a message was not accepted and what is left, as a sentence, and whether
             the message was of another scan than the field that is kept, so that plans on it are out of date.
         group: callback group of the subscription; one that `plan` services share never mixes two fields.
@@ -83,7 +85,7 @@ class FieldReceiver:
         self,
         node: Node,
         device: torch.device,
-        received: Callable[[ReceivedField], None],
+        received: Callable[[ReceivedField, float], None],
         refused: Callable[[str, bool], None],
         group: CallbackGroup,
     ) -> None:
@@ -115,7 +117,7 @@ class FieldReceiver:
             received = self._checked(message)
             if received is not last:
                 self._current = received
-                self._received(received)
+                self._received(received, max(last.stamp_ns - received.stamp_ns, 0) * 1e-9 if last else 0.0)
         except Exception as error:  # also a fault of ours, or the device's memory is full: the node lives on
             self._current = last
             kept = "the last one is kept" if last else "there is none"

@@ -114,15 +114,17 @@ class Planner(Node):
 
     # --- fields
 
-    def _on_field(self, received: ReceivedField) -> None:
+    def _on_field(self, received: ReceivedField, older_s: float) -> None:
+        level = status.WARN if older_s or self._publisher.stands else status.OK
+        older = f", whose scan is {older_s:.1f} s older than that of the last field" if older_s else ""
         of_field = {"state": "ready", **self._told(received)}
         if self._publisher.stands:
             self._withdraw(received)
-            self._status.report(status.WARN, "a new field has come; the plan of the last one is withdrawn", of_field)
+            self._status.report(level, f"a new field has come{older}; the plan of the last one is withdrawn", of_field)
         else:
             if not self._publisher.told:
                 self._publisher.withdraw(received)  # who still holds a plan of a planner before this one drops it
-            self._status.report(status.OK, "a field has come; ready to plan", of_field)
+            self._status.report(level, f"a field has come{older}; ready to plan", of_field)
 
     def _on_bad_field(self, reason: str, outdated: bool) -> None:
         kept = self._fields.current

@@ -103,10 +103,13 @@ class Query(Node):
 
     # --- field and parameters
 
-    def _on_field(self, received: ReceivedField) -> None:
+    def _on_field(self, received: ReceivedField, older_s: float) -> None:
         identity = {"state": "ready", **received.identity()}
+        older = f", whose scan is {older_s:.1f} s older than that of the last field" if older_s else ""
         self._status.report(
-            status.OK, f"field {received.hash} of the scan at {received.stamp_ns} ns received", identity
+            status.WARN if older_s else status.OK,
+            f"field {received.hash} of the scan at {received.stamp_ns} ns received{older}",
+            identity,
         )
         self._surface.show(received)
         self._band.refresh()

@@ -16,7 +16,15 @@ from sensor_msgs.msg import CompressedImage, PointCloud2
 from std_srvs.srv import Trigger
 
 from octn_ros.errors import CalibrationError, PlanError
-from octn_ros.field import HashGridConfig, InterpolatedField, NetworkConfig, NeuralFieldConfig, dumps_field, field_hash
+from octn_ros.field import (
+    HashGridConfig,
+    InterpolatedField,
+    NetworkConfig,
+    NeuralFieldConfig,
+    dumps_field,
+    field_hash,
+    loads_field,
+)
 from octn_ros.nodes import conversions, field_receiver, qos, status
 from octn_ros.nodes.planner import Planner
 from octn_ros.nodes.query import Query
@@ -207,6 +215,23 @@ def test_a_refused_field_of_a_newer_scan_withdraws_the_plan_and_one_of_the_same_
     bench.field.publish(conversions.to_field_message(flat_field, STAMP_NS + 1, OCT))
     assert bench.until("field refused", "is withdrawn, for there is a newer scan")["state"] == "refused"
     bench.waypoints.wait(TIMEOUT_S, lambda message: not message.poses, after=planned)
+
+
+def test_a_field_of_an_older_scan_than_the_last_is_taken_with_a_warning(
+    spin: Callable[..., Any], client: Any, flat_field: bytes, field_data: bytes
+) -> None:
+    bench, queried = Bench(spin, client, **LEADING), client.watch(DiagnosticArray, "query_status")
+    newer = dataclasses.replace(loads_field(flat_field).volume, stamp_ns=STAMP_NS + 50 * 10**9)
+    bench.field.publish(conversions.to_field_message(dumps_field(InterpolatedField(newer)), newer.stamp_ns, OCT))
+    bench.until("ready to plan")
+    queried.wait(TIMEOUT_S, lambda message: "received" in status.read(message)[1])
+    assert client.call(Trigger, "replan", Trigger.Request(), TIMEOUT_S).success
+    older = "whose scan is 50.0 s older than that of the last field"
+    bench.field.publish(conversions.to_field_message(field_data, STAMP_NS, OCT))
+    for watch, words in ((bench.status, f"{older}; the plan of the last one is withdrawn"), (queried, f", {older}")):
+        told = watch.wait(TIMEOUT_S, lambda message, words=words: words in status.read(message)[1])
+        level, _, values = status.read(told)
+        assert (level, values["state"], values["stamp_ns"]) == (status.WARN, "ready", str(STAMP_NS))
 
 
 def test_another_pose_of_the_same_scan_withdraws_the_plan_that_was_placed_by_the_last(
