@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 import threading
+from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-_KEPT = 10_000  # poses; 100 s at 100 Hz, longer than any C-scan takes to arrive
+KEPT_NS = 120_000_000_000  # longer than any C-scan takes to arrive
+MOST = 120_000  # poses: an arm that tells a thousand a second is remembered for that long, in some 50 MB
+_STAMP = attrgetter("stamp_ns")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class StampedPose:
     """A pose of the end effector.
 
@@ -42,10 +47,10 @@ class Motion:
 
 
 class PoseHistory:
-    """The last poses, looked up by their stamps; safe from any thread."""
+    """The poses of the last 120 s, 120,000 at most, in the order of their stamps; safe from any thread."""
 
     def __init__(self) -> None:
-        self._poses: deque[StampedPose] = deque(maxlen=_KEPT)
+        self._poses: deque[StampedPose] = deque()
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -55,12 +60,17 @@ class PoseHistory:
     def add(self, pose: StampedPose) -> None:
         """Keep a pose."""
         with self._lock:
-            self._poses.append(pose)
+            insort(self._poses, pose, key=_STAMP)
+            oldest_ns = self._poses[-1].stamp_ns - KEPT_NS
+            while len(self._poses) > MOST or self._poses[0].stamp_ns < oldest_ns:
+                self._poses.popleft()
 
     def nearest(self, stamp_ns: int, largest_gap_s: float) -> StampedPose | None:
         """Return the pose nearest in time, None if there is none within `largest_gap_s`."""
         with self._lock:
-            found = min(self._poses, key=lambda kept: abs(kept.stamp_ns - stamp_ns), default=None)
+            after = bisect_left(self._poses, stamp_ns, key=_STAMP)
+            around = list(islice(self._poses, max(after - 1, 0), after + 1))
+        found = min(around, key=lambda kept: abs(kept.stamp_ns - stamp_ns), default=None)
         if found is None or abs(found.stamp_ns - stamp_ns) > largest_gap_s * 1e9:
             return None
         return found
@@ -68,7 +78,7 @@ class PoseHistory:
     def heard_until(self, stamp_ns: int) -> bool:
         """Return whether a pose of this time or later has come."""
         with self._lock:
-            return any(kept.stamp_ns >= stamp_ns for kept in reversed(self._poses))
+            return bool(self._poses) and self._poses[-1].stamp_ns >= stamp_ns
 
     def motion(self, start_ns: int, end_ns: int, largest_gap_s: float) -> Motion | None:
         """Return how far the end effector moved in a stretch of time from where it was at its start.
@@ -82,11 +92,12 @@ class PoseHistory:
         if start is None:
             return None
         with self._lock:
-            poses = sorted((p for p in self._poses if p.frame == start.frame), key=lambda kept: kept.stamp_ns)
-        meanwhile = [p for p in poses if start_ns <= p.stamp_ns <= end_ns]
-        after = [p for p in poses if end_ns < p.stamp_ns <= end_ns + largest_gap_s * 1e9]
+            first = bisect_left(self._poses, start_ns, key=_STAMP)
+            last = bisect_right(self._poses, end_ns + largest_gap_s * 1e9, key=_STAMP)
+            poses = [p for p in islice(self._poses, first, last) if p.frame == start.frame]
+        meanwhile = [p for p in poses if p.stamp_ns <= end_ns]
         if len(meanwhile) < 2:
-            meanwhile += after[:1]
+            meanwhile = poses[: len(meanwhile) + 1]
         return Motion(
             max((float(np.linalg.norm(p.ee2base[:3, 3] - start.ee2base[:3, 3])) for p in meanwhile), default=0.0),
             max((_angle_rad(p.ee2base, start.ee2base) for p in meanwhile), default=0.0),

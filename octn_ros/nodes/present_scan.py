@@ -23,6 +23,31 @@ from octn_ros.volume import Volume
 
 
 @dataclass
+class ScanPlace:
+    """Where the end effector was at one scan, as far as it has been told.
+
+    Attributes:
+        stamp_ns: acquisition time of the scan.
+        pose: the pose nearest to it so far, None if there is none.
+    """
+
+    stamp_ns: int
+    pose: StampedPose | None = None
+
+    def take(self, pose: StampedPose | None, largest_gap_s: Callable[[], float]) -> bool:
+        """Take a pose if it is the nearest so far, and near enough; return whether."""
+        if pose is None:
+            return False
+        gap_ns = abs(pose.stamp_ns - self.stamp_ns)
+        if self.pose is not None and gap_ns >= abs(self.pose.stamp_ns - self.stamp_ns):
+            return False
+        if gap_ns > largest_gap_s() * 1e9:
+            return False
+        self.pose = pose
+        return True
+
+
+@dataclass
 class NewScan:
     """A C-scan with everything that is published of it at once, made before anything is published.
 
@@ -32,6 +57,7 @@ class NewScan:
         grid: the view as a message.
         field: the message of the field through its voxels, which lie in the message's own memory.
         hash: identity of that field.
+        place: where the end effector was.
         shown: whether all this has been published.
     """
 
@@ -40,6 +66,7 @@ class NewScan:
     grid: OccupancyGrid
     field: CompressedImage
     hash: str
+    place: ScanPlace
     shown: bool = False
 
     @classmethod
@@ -47,7 +74,8 @@ class NewScan:
         """Make ready what is published of a C-scan."""
         view = enface(volume)
         volume, field, identity = conversions.with_field_message(volume)
-        return cls(volume, view, conversions.to_grid(view, volume.geometry, volume.stamp_ns), field, identity)
+        grid = conversions.to_grid(view, volume.geometry, volume.stamp_ns)
+        return cls(volume, view, grid, field, identity, ScanPlace(volume.stamp_ns))
 
 
 @dataclass(frozen=True)
@@ -85,8 +113,8 @@ class PresentScan:
         self._lock = threading.RLock()  # held from the question which scan is the present one to the answer
         self._writing = threading.Lock()
         self._scan: NewScan | None = None
-        self._stamp_ns: int | None = None
-        self._pose: StampedPose | None = None
+        self._place: ScanPlace | None = None
+        self._expected: ScanPlace | None = None
         self._known: KnownField | None = None
         self._kept: KeptField | None = None
 
@@ -99,13 +127,21 @@ class PresentScan:
         """Return whether this C-scan is the present one."""
         return self._scan is scan
 
+    def expect(self, scan: NewScan) -> None:
+        """Look up where the end effector was at a C-scan that has come; poses that come count too, however long it is
+        until the C-scan is shown. Of those that wait only the last one that was expected will be.
+        """
+        with self._lock:
+            self._expected = scan.place
+            scan.place.take(self._poses.nearest(scan.place.stamp_ns, self._largest_gap_s()), self._largest_gap_s)
+
     def show(self, scan: NewScan) -> None:
         """Make a C-scan the present one and publish what is known of it at once, unless that has been done."""
         with self._lock:
             if scan.shown:
                 return
             scan.shown = True
-            self._scan, self._stamp_ns, self._pose, self._kept = scan, scan.volume.stamp_ns, None, None
+            self._scan, self._place, self._kept = scan, scan.place, None
             self._enface.publish(scan.grid)
             self._publish(scan.field, KnownField(scan.volume.stamp_ns, "interpolated", scan.hash))
 
@@ -121,26 +157,29 @@ class PresentScan:
             if self._scan is not scan:
                 return False
             self._publish(message, KnownField(stamp_ns, "neural", identity))
-            self._kept = kept = KeptField(data, identity, stamp_ns, frame, scan.view, self._pose)
+            self._kept = kept = KeptField(data, identity, stamp_ns, frame, scan.view, scan.place.pose)
         self._keep(kept)
         return True
 
     def show_kept(self, kept: KeptField, description: FieldDescription) -> None:
         """Publish a field from the disk, which its description says more of, of the scan that it was fitted to then."""
         with self._lock:
-            self._stamp_ns, self._pose, self._kept = kept.stamp_ns, kept.pose, kept
+            self._place, self._kept = ScanPlace(kept.stamp_ns, kept.pose), kept
             self._enface.publish(conversions.to_grid(kept.enface, description.geometry, kept.stamp_ns))
             message = conversions.encode_field((kept.data,), kept.stamp_ns, kept.frame)
             self._publish(message, KnownField(kept.stamp_ns, description.kind, kept.hash))
 
     def see_pose(self, pose: StampedPose) -> None:
-        """Take a pose of the end effector: it may be nearer to the scan than those that came before.
+        """Take a pose of the end effector: it may be nearer to the scan than those that came before, or to the one that
+        waits.
 
         Raises:
             CheckpointError: it is published, and cannot be kept.
         """
         with self._lock:
-            if not self._place(pose):
+            if self._expected is not None and self._expected is not self._place:
+                self._expected.take(pose, self._largest_gap_s)
+            if self._place is None or not self._place.take(pose, self._largest_gap_s):
                 return
             self._publish_pose()
             if self._kept is None:
@@ -158,24 +197,12 @@ class PresentScan:
 
     def _publish(self, message: CompressedImage | bytes, known: KnownField) -> None:
         # The pose goes first, so that whoever gets the field can place it.
-        self._place(self._poses.nearest(known.stamp_ns, self._largest_gap_s()))
         self._publish_pose()
         self._field.publish(message)
         self._known = known
 
-    def _place(self, pose: StampedPose | None) -> bool:
-        """Take a pose as the present scan's if it is the nearest so far; return whether."""
-        if self._stamp_ns is None or pose is None:
-            return False
-        gap_ns = abs(pose.stamp_ns - self._stamp_ns)
-        if self._pose is not None and gap_ns >= abs(self._pose.stamp_ns - self._stamp_ns):
-            return False
-        if gap_ns > self._largest_gap_s() * 1e9:
-            return False
-        self._pose = pose
-        return True
-
     def _publish_pose(self) -> None:
-        if self._pose is not None and self._stamp_ns is not None:
-            message = conversions.matrix_to_pose_stamped(self._pose.ee2base, self._stamp_ns, self._pose.frame)
+        place = self._place
+        if place is not None and place.pose is not None:
+            message = conversions.matrix_to_pose_stamped(place.pose.ee2base, place.stamp_ns, place.pose.frame)
             self._scan_ee_pose.publish(message)

@@ -108,6 +108,7 @@ class Trainer(Node):
             scan = NewScan.of(volume)
             with self._ordering:
                 self._newest = scan
+                self._present.expect(scan)
                 restart = config.new_scan == "restart"
                 if restart or not self._fitter.busy:
                     self._fitter.show(scan)

@@ -11,7 +11,7 @@ from sensor_msgs.msg import Image
 
 from octn_ros.errors import ConfigurationError, PlanError, VolumeError
 from octn_ros.field.device import torch_device
-from octn_ros.nodes import conversions, qos
+from octn_ros.nodes import conversions, pose_history, qos
 from octn_ros.nodes.bscan_pairs import BScanPairs
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
@@ -100,6 +100,16 @@ def test_the_pose_nearest_in_time_is_found_within_the_gap() -> None:
         history.add(StampedPose(second * 10**9, np.full((4, 4), second), "base_link"))
     assert history.nearest(2_400_000_000, 0.5).stamp_ns == 2 * 10**9
     assert history.nearest(9 * 10**9, 0.5) is None
+
+
+def test_two_minutes_of_poses_are_remembered_a_thousand_a_second() -> None:
+    history, still = PoseHistory(), np.eye(4)
+    for number in range(12_100):  # of an arm that tells a hundred a second
+        history.add(StampedPose(number * 10**7, still, "base_link"))
+    assert history.nearest(1_400_000_000, 0.5).stamp_ns == 1_400_000_000
+    assert history.nearest(0, 0.5) is None, "older than two minutes"
+    assert len(history) == 12_001
+    assert pose_history.MOST * 10**6 >= pose_history.KEPT_NS
 
 
 def test_images_without_poses_are_forgotten_before_they_fill_the_memory() -> None:

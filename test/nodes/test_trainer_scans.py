@@ -365,6 +365,24 @@ def test_finish_ends_the_running_fit_and_then_takes_the_newest_scan(
     assert heard(bench) == [(1, "interpolated"), (1, "neural"), (3, "interpolated"), (3, "neural")]
 
 
+def test_a_scan_that_waits_keeps_its_pose_however_long_that_is(
+    trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event
+) -> None:
+    bench = trainer_bench(**OF_SCANNER, new_scan="finish")
+    bench.scan(volume, 1 * 10**9)
+    until_report(bench, 1, "fitting")
+    for number, stamp_ns in enumerate((2_010_000_000, 2_001_000_000), start=1):
+        publish_pose(bench, stamp_ns, x_m=0.1 * number)
+        bench.client.wait_for(lambda number=number: len(bench.node._poses) == number, bench.timeout_s, "the pose")
+        if number == 1:
+            bench.scan(volume, 2 * 10**9)
+            until_report(bench, 2, "waiting")
+    bench.node._poses._poses.clear()  # as two minutes do
+    held.set()
+    bench.scan_ee_pose.wait(bench.timeout_s, lambda message: message.pose.position.x == 0.2)
+    assert bench.pose_told(2 * 10**9)[0, 3] == 0.2
+
+
 def test_cancel_ends_both_fits_and_refit_takes_the_scan_that_waited(
     trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event
 ) -> None:
