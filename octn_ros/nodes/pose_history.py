@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 KEPT_NS = 120_000_000_000  # longer than any C-scan takes to arrive
 MOST = 120_000  # poses: an arm that tells a thousand a second is remembered for that long, in some 50 MB
+SET_BACK_NS = 1_000_000_000  # a stamp that lies further before the newest one is of a clock that was set back
 _STAMP = attrgetter("stamp_ns")
 
 
@@ -57,13 +58,21 @@ class PoseHistory:
         """Return how many poses are kept."""
         return len(self._poses)
 
-    def add(self, pose: StampedPose) -> None:
-        """Keep a pose."""
+    def add(self, pose: StampedPose) -> float:
+        """Keep a pose, which may come a little after later ones.
+
+        Returns:
+            By how many seconds the clock of the poses was set back, so that all before this one are forgotten; else 0.
+        """
         with self._lock:
+            back_ns = self._poses[-1].stamp_ns - pose.stamp_ns if self._poses else 0
+            if back_ns > SET_BACK_NS:
+                self._poses.clear()
             insort(self._poses, pose, key=_STAMP)
             oldest_ns = self._poses[-1].stamp_ns - KEPT_NS
             while len(self._poses) > MOST or self._poses[0].stamp_ns < oldest_ns:
                 self._poses.popleft()
+        return back_ns * 1e-9 if back_ns > SET_BACK_NS else 0.0
 
     def nearest(self, stamp_ns: int, largest_gap_s: float) -> StampedPose | None:
         """Return the pose nearest in time, None if there is none within `largest_gap_s`."""

@@ -29,14 +29,16 @@ class ScanPlace:
     Attributes:
         stamp_ns: acquisition time of the scan.
         pose: the pose nearest to it so far, None if there is none.
+        settled: whether no other pose counts any more.
     """
 
     stamp_ns: int
     pose: StampedPose | None = None
+    settled: bool = False
 
     def take(self, pose: StampedPose | None, largest_gap_s: Callable[[], float]) -> bool:
         """Take a pose if it is the nearest so far, and near enough; return whether."""
-        if pose is None:
+        if pose is None or self.settled:
             return False
         gap_ns = abs(pose.stamp_ns - self.stamp_ns)
         if self.pose is not None and gap_ns >= abs(self.pose.stamp_ns - self.stamp_ns):
@@ -186,6 +188,12 @@ class PresentScan:
                 return
             self._kept = kept = dataclasses.replace(self._kept, pose=pose)
         self._keep(kept)
+
+    def settle(self) -> None:
+        """Take no other pose for the scans so far: the clock was set back, and those that come are of another time."""
+        with self._lock:
+            for place in filter(None, (self._place, self._expected)):
+                place.settled = True
 
     def _keep(self, kept: KeptField) -> None:
         """Write a field to the disk unless it is no longer the one to keep; poses go on coming meanwhile."""

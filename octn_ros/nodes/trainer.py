@@ -127,7 +127,14 @@ class Trainer(Node):
         try:
             pose = conversions.pose_to_matrix(message.pose)
             stamped = StampedPose(conversions.stamp_to_ns(message.header.stamp), pose, message.header.frame_id)
-            self._poses.add(stamped)
+            back_s = self._poses.add(stamped)
+            if back_s:
+                self._present.settle()
+                self.get_logger().warning(
+                    f"ee_pose: its stamp lies {back_s:.1f} s before that of the last one; the poses until then are "
+                    "forgotten. Was a clock set back, or does another node publish ee_pose?",
+                    throttle_duration_sec=5.0,
+                )
             self._present.see_pose(stamped)
         except OctnError as error:
             self._diagnostics.failed(f"ee_pose: {error}")

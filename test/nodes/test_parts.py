@@ -112,6 +112,15 @@ def test_two_minutes_of_poses_are_remembered_a_thousand_a_second() -> None:
     assert pose_history.MOST * 10**6 >= pose_history.KEPT_NS
 
 
+def test_poses_of_before_a_clock_was_set_back_are_forgotten() -> None:
+    history = history_of((4.0, 0.1, 0.0), (5.0, 0.1, 0.0), (4.5, 0.2, 0.0))
+    assert len(history) == 3, "no clock is set back by half a second: it came late"
+    assert not history.heard_until(5_000_000_001)
+    assert history.add(StampedPose(3_999_999_999, np.eye(4), "base_link")) == pytest.approx(1.0)
+    assert len(history) == 1
+    assert not history.heard_until(4 * 10**9)
+
+
 def test_images_without_poses_are_forgotten_before_they_fill_the_memory() -> None:
     pairs = BScanPairs(100)
     for stamp_ns in range(1, 5):

@@ -269,6 +269,22 @@ def test_a_complete_scan_waits_for_what_the_arm_has_yet_to_say(
     assert not bench.field.messages
 
 
+def test_a_scan_takes_no_pose_of_after_a_clock_was_set_back(
+    trainer_bench: Callable[..., Any], volume: Volume, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bench = trainer_bench(**OF_SCANNER)
+    publish_pose(bench, LAST_NS + 1, x_m=0.1)
+    bench.client.wait_for(lambda: len(bench.node._poses) == 1, bench.timeout_s, "the pose")
+    bench.scan(volume, STAMP_NS)
+    bench.scan_ee_pose.wait(bench.timeout_s, after=1)  # with the field through the voxels, and with the fitted one
+    for stamp_ns in (STAMP_NS - 2 * 10**9, STAMP_NS, STAMP_NS + 1):
+        publish_pose(bench, stamp_ns, x_m=0.3)
+    bench.client.wait_for(lambda: len(bench.node._poses) == 3, bench.timeout_s, "the poses of now, and no others")
+    assert "ee_pose: its stamp lies 2.0 s before that of the last one" in capfd.readouterr().err
+    assert bench.trigger("refit").success
+    assert bench.scan_ee_pose.wait(bench.timeout_s, after=2).pose.position.x == 0.1
+
+
 def test_an_arm_that_falls_silent_holds_no_scan_up_for_long(trainer_bench: Callable[..., Any], volume: Volume) -> None:
     bench = trainer_bench(**OF_SCANNER, largest_pose_gap_s=0.3)
     publish_pose(bench, STAMP_NS)
