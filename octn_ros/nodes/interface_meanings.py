@@ -56,7 +56,8 @@ MEANINGS = {
     "scan": "Drives the arm to its scanning pose and plays one C-scan.",
     "scan_ee_pose": "Where the end effector was at the scan; stamped with it.",
     "slice": "The last slice that was asked for; `32FC1`, NaN outside the scan.",
-    "surface": "The tissue surface under each A-scan of a lattice: x, y, z, intensity, confidence, in the OCT frame.",
+    "surface": "The tissue surface under each A-scan of a lattice: x, y, z, intensity, confidence, in the OCT frame; "
+    "empty where a field has none.",
     "tissue_motion": "How far the tissue has moved since the last scan, as a tracker would measure it, in the OCT "
     "frame.",
     "tool_path": "What poses cannot say of each waypoint: position, quaternion, segment, laser on or off, speed, "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
@@ -34,14 +35,27 @@ class SurfacePublisher:
         self._work = LatestWork(node, "surface", lambda reason: failed(f"no surface of the field: {reason}"))
 
     def show(self, received: ReceivedField) -> None:
-        """Publish the surface of a field in place of the last one; returns at once. From any thread."""
-        self._work.ask(lambda look: self._publish(received, look))
+        """Publish the surface of a field in place of the last one; returns at once. From any thread.
+
+        One that cannot be had is withdrawn: an empty cloud.
+        """
+        self._work.ask(lambda look: self._find(received, look))
 
     def close(self) -> None:
         """Publish no more."""
         self._work.close()
 
-    def _publish(self, received: ReceivedField, look: Callable[[], None]) -> None:
+    def _find(self, received: ReceivedField, look: Callable[[], None]) -> None:
+        try:
+            rows = self._rows(received)
+        except Exception:
+            look()  # raises where it was superseded, which is no failure
+            self._send(received, np.empty((0, len(COLUMNS))))
+            raise
+        look()
+        self._send(received, rows)
+
+    def _rows(self, received: ReceivedField) -> NDArray[np.float64]:
         config, axials = self._config(), received.field.geometry.shape[1]
         if config.max_ascans * axials > LARGEST_SEARCH:
             raise QueryError(
@@ -49,9 +63,10 @@ class SurfacePublisher:
                 f"surface.max_ascans), got {config.max_ascans:,}"
             )
         found = surface_map(received.field, config)
-        look()
         x, y = np.meshgrid(found.lateral_m, found.bscan_m)
-        rows = conversions.table(
-            COLUMNS, *(part.ravel() for part in (x, y, found.depth_m, found.intensity, found.confidence))
+        return np.column_stack([part.ravel() for part in (x, y, found.depth_m, found.intensity, found.confidence)])
+
+    def _send(self, received: ReceivedField, rows: NDArray[np.float64]) -> None:
+        self._publisher.publish(
+            conversions.to_cloud(conversions.table(COLUMNS, rows), received.stamp_ns, received.frame)
         )
-        self._publisher.publish(conversions.to_cloud(rows, received.stamp_ns, received.frame))

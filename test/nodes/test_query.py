@@ -406,6 +406,16 @@ def test_the_surface_of_each_new_field_is_published_and_follows_its_parameters(b
     surfaces.wait(TIMEOUT_S, lambda message: message.header == conversions.header(STAMP_NS + 5, OCT))
 
 
+def test_the_surface_of_the_last_field_does_not_outlive_it(bench: Bench) -> None:
+    surfaces = bench.client.watch(PointCloud2, "surface")
+    bench.give(cubic_volume(lambda x, y, z: z * 3e3))
+    assert surfaces.wait(TIMEOUT_S).width > 0
+    bench.give(cubic_volume(lambda x, y, z: 0.9 - z * 3e3, STAMP_NS + 1))  # the intensity never rises
+    withdrawn = surfaces.wait(TIMEOUT_S, lambda message: message.header == conversions.header(STAMP_NS + 1, OCT))
+    assert (withdrawn.width, len(withdrawn.data), len(withdrawn.fields)) == (0, 0, 5)
+    bench.until("no surface of the field")
+
+
 def test_a_late_joiner_gets_surface_and_band(bench: Bench) -> None:
     bench.give(cubic_volume(linear))
     assert bench.band().success
