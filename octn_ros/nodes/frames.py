@@ -20,16 +20,19 @@ class ScanFrames:
     Attributes:
         calibration: relates the OCT frame and the laser frame to the end effector.
         ee2base: pose of the end effector in the robot's base at the time of the scan [4, 4], None if unknown.
+        scan_frame: the scan's own OCT frame, None for that of the calibration. Of another one the calibration says
+            nothing, so there is no way into it from any frame but itself.
     """
 
     calibration: Calibration
     ee2base: NDArray[np.float64] | None = None
+    scan_frame: str | None = None
 
     def to_oct(self, pose: PoseStamped) -> NDArray[np.float64]:
         """Return a pose [4, 4] in the OCT frame.
 
         Raises:
-            PlanError: nobody knows the frame.
+            PlanError: nobody knows the frame, or the calibration is for another scanner.
             CalibrationError: the pose is not a finite, rigid one.
         """
         return self.frame2oct(pose.header.frame_id) @ pose_to_matrix(pose.pose)
@@ -38,9 +41,16 @@ class ScanFrames:
         """Return the transform [4, 4] of points of a named frame, as it lay at the time of the scan, into the OCT's.
 
         Raises:
-            PlanError: nobody knows the frame.
+            PlanError: nobody knows the frame, or the calibration is for another scanner.
         """
         calibration = self.calibration
+        if self.scan_frame not in (None, calibration.oct_frame):
+            if frame == self.scan_frame:
+                return np.eye(4)
+            raise PlanError(
+                f"expected a field in the calibrated frame {calibration.oct_frame!r}, got {self.scan_frame!r}; ask in "
+                f"that frame instead of {frame!r}, or load the calibration of that scanner"
+            )
         ee2oct = invert(calibration.oct2ee)
         known = {
             calibration.oct_frame: np.eye(4),

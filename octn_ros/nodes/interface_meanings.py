@@ -29,7 +29,7 @@ MEANINGS = {
     "field": "The field itself, float16, format `octn-field/safetensors`, stamped with the scan: first the one through "
     "the measured voxels, then the fitted one in its place.",
     "fit_progress": "A report a few times a second while a fit runs; the C-scan that was refused, and why.",
-    "laser_on": "Whether the laser fires; published when it changes.",
+    "laser_on": "Whether the laser fires, or has fired in the last control step; published when it changes.",
     "load_cscan": "`map_url`: a path or file:// URL below the parameter `data_root`. The file is fitted as a C-scan "
     "is; answered with its `enface` view, or an error code and the reason on `fit_progress`.",
     "path": "The plan for the eyes, in the base, or in the end-effector frame where the arm's pose is not known.",
@@ -44,7 +44,8 @@ MEANINGS = {
     "query_band": "Publishes `band` now, and says how many points it has.",
     "query_intensity": "The answer: x, y, z, intensity, gx, gy, gz, in the frame, stamp and order of the question; NaN "
     "outside the scan.",
-    "query_points": "Any cloud with x, y, z, in any frame of the calibration.",
+    "query_points": "Any cloud with x, y, z, in any frame of the calibration; in the field's own alone where that is "
+    "another scanner's.",
     "query_slice": "`map_url`: `bscan:128.5`, `enface:mip`, `plane:...` (queries.md). Answered as a map placed in "
     "space, 101 grey levels; in full depth on `slice`.",
     "query_status": "What was asked last and how it went; the figures of a clicked point.",

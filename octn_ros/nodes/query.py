@@ -134,7 +134,8 @@ class Query(Node):
 
     def _present(self) -> tuple[ReceivedField, ScanFrames]:
         received = self._fields.required()
-        return received, ScanFrames(self._calibration, self._scan_poses.ee2base(received.stamp_ns))
+        ee2base = self._scan_poses.ee2base(received.stamp_ns)
+        return received, ScanFrames(self._calibration, ee2base, received.frame)
 
     def _wanted_band(self) -> tuple[BandQuery, Region | None]:
         query = dataclasses.replace(self._band_config.config(), max_points=self._limits.config().band_points)

@@ -335,6 +335,20 @@ def test_points_are_answered_in_the_frame_they_are_asked_in(bench: Bench, frame:
     assert np.isnan(rows[outside, 3:]).all()
 
 
+def test_a_field_of_a_scanner_without_a_calibration_is_answered_for_in_its_own_frame_only(bench: Bench) -> None:
+    volume = cubic_volume(linear)
+    other = dataclasses.replace(volume, geometry=dataclasses.replace(volume.geometry, frame="other_probe"))
+    bench.scan_ee_pose.publish(conversions.matrix_to_pose_stamped(ee2base(), STAMP_NS, BASE))
+    bench.give(other)
+    asker = Asker(bench)
+    point = np.array([ORIGIN_M])
+    for frame, oct2frame in oct2frames().items():
+        asker.points.publish(double_cloud(point @ oct2frame[:3, :3].T + oct2frame[:3, 3], frame))
+        bench.until("query_points refused", f"calibrated frame '{OCT}', got 'other_probe'", f"instead of '{frame}'")
+    assert asker.ask(double_cloud(point, "other_probe"))[0, 3] == pytest.approx(0.2, abs=1e-5)
+    assert len(asker.intensities.messages) == 1
+
+
 def test_a_cloud_that_cannot_be_answered_is_refused_in_words(spin: Callable[..., Any], client: Any) -> None:
     bench = Bench(spin, client, limits__points=6)
     asker = Asker(bench)
