@@ -24,7 +24,8 @@ class ConfigParameters(Generic[Config]):
     """The parameters of one configuration: declared with descriptors, checked when set, read back as the dataclass.
 
     Nested configurations become dotted names (`raster.line_spacing_m`). A value that the configuration itself refuses
-    is refused by the node with the configuration's reason. Safe to read from any thread.
+    is refused by the node with the configuration's reason. Safe to read from any thread: what is set together is read
+    together.
 
     Args:
         node: the node that owns the parameters.
@@ -46,7 +47,7 @@ class ConfigParameters(Generic[Config]):
         read_only: Collection[str] | bool = (),
         leave_out: Collection[str] = (),
     ) -> None:
-        self._node, self._default = node, default
+        self._default = default
         self._prefix = f"{prefix}." if prefix else ""
         self._types: dict[str, Any] = {}
         for name, value, hint, metadata in _settings(default):
@@ -56,16 +57,14 @@ class ConfigParameters(Generic[Config]):
             self._types[name] = hint
             plain = list(value) if isinstance(value, tuple) else float(value) if hint is float else value
             node.declare_parameter(self._prefix + name, plain, _descriptor(hint, metadata, fixed))
-        self.config()
+        self._values = {name: node.get_parameter(self._prefix + name).value for name in self._types}
+        self._config = self._build(self._values)
         node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._take)
 
     def config(self) -> Config:
-        """Return the configuration that the parameters now state.
-
-        Raises:
-            ConfigurationError: the values do not fit together.
-        """
-        return self._build({name: self._node.get_parameter(self._prefix + name).value for name in self._types})
+        """Return the configuration that the parameters now state."""
+        return self._config
 
     def _build(self, values: dict[str, Any]) -> Config:
         typed = {}
@@ -75,19 +74,24 @@ class ConfigParameters(Generic[Config]):
         return _replace(self._default, typed)
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._build(self._with(parameters))
+        except (OctnError, TypeError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take(self, parameters: list[Parameter]) -> None:
+        self._values = self._with(parameters)
+        self._config = self._build(self._values)
+
+    def _with(self, parameters: list[Parameter]) -> dict[str, Any]:
+        """Return the values with those of these parameters that are of this configuration."""
         changed = {
             parameter.name.removeprefix(self._prefix): parameter.value
             for parameter in parameters
             if parameter.name.startswith(self._prefix) and parameter.name.removeprefix(self._prefix) in self._types
         }
-        if not changed:
-            return SetParametersResult(successful=True)
-        now = {name: self._node.get_parameter(self._prefix + name).value for name in self._types}
-        try:
-            self._build({**now, **changed})
-        except (OctnError, TypeError) as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+        return {**self._values, **changed}
 
 
 def undeclared_parameters(node: Node) -> list[str]:

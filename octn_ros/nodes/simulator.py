@@ -237,7 +237,7 @@ class Simulator(Node):
 
     def _abort(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            state = "returning" if self._looking else self._station.arm.state
+            state = "returning" if self._looking or self._player.unsent else self._station.arm.state
             self._called_off = True
             self._stop("an abort was asked for")
             response.success = True
@@ -251,7 +251,7 @@ class Simulator(Node):
     def _stop(self, reason: str) -> str:
         """Turn the laser off and stop; the lock is held. Returns what happened in words."""
         was = self._station.arm.state
-        if was == "returning":  # to where a scan is taken: from elsewhere it would be another one than it says
+        if was == "returning" or self._player.unsent:  # from elsewhere it would be another scan than it says
             left_out = self._player.cancel()
             self._station.forget_scan()
             reason += f"; the scan is cancelled, {left_out} B-scans are not taken"

@@ -48,7 +48,7 @@ class StationReports:
             return {
                 "state": station.arm.state,
                 "laser_enabled": station.enabled,
-                "laser_on": station.arm.laser_on,
+                "laser_on": station.arm.shone,
                 "scan_stamp_ns": station.scan_stamp_ns,
                 "waypoints": count,
                 "passed": passed,
@@ -74,7 +74,7 @@ class StationReports:
     def show_laser(self) -> None:
         """Publish whether the laser is on, if that has changed."""
         with self._lock:
-            laser_on = self._station.arm.laser_on
+            laser_on = self._station.arm.shone  # also of a shot that is shorter than a step
             if laser_on != self._shown and self._node.context.ok():
                 self._shown = laser_on
                 self._laser_on.publish(Bool(data=laser_on))

@@ -65,6 +65,7 @@ class Arm:
         ee2base: present pose of the end effector in the base frame.
         commanded2base: where it would be without its stray.
         laser_on: whether the beam's shutter is open.
+        shone: whether it was open at any time of the last step, which may be longer than a shot.
         path: the plan that is staged or being executed, None if there is none.
         history: the newest steps, oldest first.
 
@@ -84,7 +85,7 @@ class Arm:
         self.ee_frame = ee_frame
         self.state: ArmState = "idle"
         self.ee2base = checked_poses("ee2base", ee2base)
-        self.laser_on = False
+        self.laser_on = self.shone = False
         self.history: deque[ArmSample] = deque(maxlen=HISTORY_LENGTH)
         self._laser2ee = checked_poses("laser2ee", laser2ee)
         self._ee2laser = inverse(self._laser2ee)
@@ -204,6 +205,7 @@ class Arm:
             raise ExecutionError(f"expected a step of at least 0 s, got {dt_s}")
         if self.state not in ("executing", "returning"):
             return []
+        before_s = self._elapsed_s
         self._elapsed_s = min(self._elapsed_s + dt_s, self._trajectory.duration_s)
         self.commanded2base = self._trajectory.focus_at(self._elapsed_s) @ self._ee2laser
         self.ee2base = self.commanded2base @ self._stray()
@@ -212,8 +214,9 @@ class Arm:
         ended: list[Shot] = []
         if self._schedule is not None:
             due = int(np.searchsorted(self._schedule.end_s, self._elapsed_s, side="right"))
-            ended = self._shots(self._fired, due, self._schedule.end_s)
+            ended = self._shots(self._schedule, due, self._schedule.end_s)
             self.laser_on = self._schedule.open_at(self._elapsed_s)
+            self.shone = self._schedule.open_within(before_s, self._elapsed_s)
         self._remember()
         if self._elapsed_s >= self._trajectory.duration_s:
             self._stop("done" if self.state == "executing" else "idle")
@@ -225,13 +228,14 @@ class Arm:
         Returns:
             The shot that was cut short, if there was one.
         """
-        cut: list[Shot] = []
-        if self.state == "executing" and self._schedule is not None:
-            begun = int(np.searchsorted(self._schedule.start_s, self._elapsed_s, side="left"))
-            cut = self._shots(self._fired, begun, np.minimum(self._schedule.end_s, self._elapsed_s))
+        schedule = self._schedule if self.state == "executing" else None
+        # First of all: whatever may go wrong below, the laser is off.
         if self.state in ("staged", "executing", "returning"):
             self._stop("aborted")
-        return cut
+        if schedule is None:
+            return []
+        begun = int(np.searchsorted(schedule.start_s, self._elapsed_s, side="left"))
+        return self._shots(schedule, begun, np.minimum(schedule.end_s, self._elapsed_s))
 
     def withdraw(self) -> None:
         """Drop a staged plan; a running one goes on."""
@@ -249,10 +253,9 @@ class Arm:
         self._start_ns, self._elapsed_s, self._passed, self._fired = now_ns, 0.0, 0, 0
         self.state = state
 
-    def _shots(self, first: int, last: int, end_s: NDArray[np.float64]) -> list[Shot]:
-        """Fire the shots `first` to `last` of the schedule, the latter left out, until these times at most."""
-        schedule = self._schedule
-        assert schedule is not None
+    def _shots(self, schedule: ShotSchedule, last: int, end_s: NDArray[np.float64]) -> list[Shot]:
+        """Fire the next shots of the schedule up to `last`, which is left out, until these times at most."""
+        first = self._fired
         if last <= first:
             return []
         start, end = schedule.start_s[first:last], end_s[first:last]
@@ -269,6 +272,7 @@ class Arm:
         self.history.append(ArmSample(self._start_ns + round(self._elapsed_s * 1e9), self.ee2base, self.laser_on))
 
     def _stop(self, state: ArmState) -> None:
+        self.shone = False
         if self.laser_on:
             self.laser_on = False
             self._remember()

@@ -118,11 +118,12 @@ class Execution:
             place_m: where the tissue lies now [3], from its place at the start.
 
         Raises:
-            ExecutionError: the record cannot be written; the shots are fired and counted.
+            ExecutionError: the record cannot be written; the shots are fired and counted, and are written with what
+                comes next.
         """
         lines = [self._hit(shot, stamp_ns, place_m) for shot, stamp_ns in zip(shots, stamps_ns, strict=True)]
         if lines:
-            self._audit.write(lines)
+            self._audit.write(lines, happened=True)
 
     def end(self, outcome: str, reason: str, now_ns: int) -> None:
         """Close the record with what came out: `done` or `aborted`, and why in words.
@@ -131,7 +132,7 @@ class Execution:
             ExecutionError: the record cannot be written.
         """
         line = {"event": "end", "time_ns": now_ns, "outcome": outcome, "reason": reason}
-        self._audit.write([{**line, "plan_hash": self.order.plan_hash, **self.figures()}], durable=True)
+        self._audit.write([{**line, "plan_hash": self.order.plan_hash, **self.figures()}], durable=True, happened=True)
 
     def figures(self) -> dict[str, Any]:
         """Return the totals: shots, their energy, what is gone, and how far actual spots lie from planned ones."""

@@ -68,8 +68,12 @@ class ShotSchedule:
 
     def open_at(self, time_s: float) -> bool:
         """Whether the beam's shutter is open."""
-        stretch = int(np.searchsorted(self.gate_s[:, 0], time_s, side="right")) - 1
-        return stretch >= 0 and time_s < float(self.gate_s[stretch, 1])
+        return self.open_within(time_s, time_s)
+
+    def open_within(self, begin_s: float, end_s: float) -> bool:
+        """Whether the beam's shutter is open at any time from `begin_s` to `end_s`."""
+        stretch = int(np.searchsorted(self.gate_s[:, 0], end_s, side="right")) - 1
+        return stretch >= 0 and begin_s < float(self.gate_s[stretch, 1])
 
 
 def stretches(path: LaserPath) -> NDArray[np.intp]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,22 @@ from octn_ros.simulation.laser import LaserConfig
 from octn_ros.simulation.laser_path import LaserPath
 from octn_ros.simulation.pose import inverse
 from octn_ros.simulation.scanner import Scanner
+from octn_ros.simulation.shots import Shot
 from octn_ros.simulation.tissue_motion import TissueMotion, TissueMotionConfig
 from octn_ros.simulation.voucher import Voucher
 from octn_ros.volume.volume import Volume
+
+
+class _Look(NamedTuple):
+    """A look at the interlock: when, how far the arm's time went then, and where the tissue lay [3]."""
+
+    time_ns: int
+    elapsed_s: float
+    place_m: NDArray[np.float64]
+
+    def stamp_ns(self, at_s: float, factor: float) -> int:
+        """Return the time of the clock at a time of the arm."""
+        return self.time_ns - round((self.elapsed_s - at_s) / factor * 1e9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +59,8 @@ class Station:
 
     A plan is staged, and fired only by `execute`, with the laser enabled and every condition of the interlock held; all
     of them are looked at again in each step, before anything is fired. A failed one turns the laser off, ends the
-    execution and disables the laser, and so does an abort.
+    execution and disables the laser, and so does an abort. A plan that has fired is not taken again before the next
+    scan, for the tissue is not what it was planned on any more.
 
     Args:
         mounting: where the machines sit.
@@ -88,7 +102,9 @@ class Station:
         self.no_plan = "none has been received"
         self.scan_stamp_ns = 0
         self._scan_place_m, self._scan_hash = np.zeros(3), ""
-        self._looked_ns = 0  # when the interlock was last looked at in an execution
+        self._look = _Look(0, 0.0, np.zeros(3))  # the last one at the interlock in an execution
+        self._latest_ns = 0  # the latest time since the scan
+        self._fired: set[str] = set()  # plans of the present scan, by hash
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -97,6 +113,7 @@ class Station:
 
     def move_tissue(self, motion: TissueMotionConfig, now_ns: int) -> None:
         """Let the tissue move otherwise from now on."""
+        self._latest_ns = max(self._latest_ns, now_ns)
         self._motion.change(motion, now_ns * 1e-9)
 
     def tissue_place_m(self, now_ns: int) -> NDArray[np.float64]:
@@ -136,6 +153,8 @@ class Station:
         if self.arm.state == "staged":
             self.withdraw("a new scan has withdrawn the plan before it")
         self.scan_stamp_ns, self._scan_hash, self._scan_place_m = stamp_ns, scan_hash, place_m
+        self._latest_ns = 0
+        self._fired.clear()
 
     def forget_scan(self) -> None:
         """Take note that the present scan was never taken; no plan of it can be staged."""
@@ -147,11 +166,17 @@ class Station:
         """Take a plan to be executed later.
 
         Raises:
-            ExecutionError: there is no scan yet, or the arm refuses it.
+            ExecutionError: there is no scan yet, the plan has fired on it, or the arm refuses it.
         """
         if not self.scan_stamp_ns:
             self.arm.withdraw()
             raise ExecutionError("expected a scan before its plan, got none yet; scan and plan again")
+        if path.hash in self._fired:
+            self.arm.withdraw()
+            raise ExecutionError(
+                "expected a plan that has not fired since the scan, got one that has; the tissue is not what it was "
+                "planned on any more: scan and plan again"
+            )
         self.arm.stage(path, self.scan_stamp_ns, self._mounting.home2base)
 
     @property
@@ -223,7 +248,7 @@ class Station:
             self.withdraw(f"the last one was refused: {in_words(error)}")
             self.execution.end("aborted", in_words(error), now_ns)
             raise
-        self._looked_ns = now_ns
+        self._look = _Look(now_ns, 0.0, self.tissue_place_m(now_ns))
 
     def step(self, dt_s: float, interlock: InterlockConfig, voucher: Voucher, now_ns: int, factor: float) -> str | None:
         """Let `dt_s` seconds of the clock pass, unless the interlock says no.
@@ -249,8 +274,15 @@ class Station:
             reason = self._why_off(interlock, voucher, now_ns)
             if reason is not None:
                 return self.stop(reason, now_ns, factor)
-            self._looked_ns = now_ns
-            self._fire(self.arm.step(dt_s * factor), now_ns, factor)
+            before, place_m = self._look, self.tissue_place_m(now_ns)
+            shots = self.arm.step(dt_s * factor)
+            self._look = _Look(now_ns, self.arm.elapsed_s, place_m)
+            # Where the process was held up, what began before that did so by the clock of the look before.
+            stamps = [
+                (before if shot.start_s < before.elapsed_s else self._look).stamp_ns(shot.start_s, factor)
+                for shot in shots
+            ]
+            self._fire(shots, stamps)
             if self.arm.state == "done" and self.execution is not None:
                 self.no_plan = "the last one has been executed"
                 self.execution.end("done", "", now_ns)
@@ -260,17 +292,21 @@ class Station:
 
     def stop(self, reason: str, now_ns: int, factor: float) -> str:
         """Turn the laser off at once and disable it, stop the arm where it is, and drop its plan; return why."""
-        state = self.arm.state
+        state, execution = self.arm.state, self.execution
         self.enabled = False
-        cut = self.arm.abort()
+        try:
+            cut = self.arm.abort()
+            # Its dwell ended with the last step, whatever has happened since.
+            self._fire(cut, [self._look.stamp_ns(shot.start_s, factor) for shot in cut])
+        except Exception as error:  # the laser is off already; what is left to do is to say why
+            reason = f"{reason}; {in_words(error)}"
         if state in ("staged", "executing"):
             self.no_plan = f"the last one was stopped: {reason}"
-        if state == "executing" and self.execution is not None:
+        if state == "executing" and execution is not None:
             try:
-                self._fire(cut, now_ns, factor)
-                self.execution.end("aborted", reason, now_ns)
-            except Exception as error:  # the laser is off already; what is left to do is to say why
-                reason = f"{reason}; {error}"
+                execution.end("aborted", reason, now_ns)
+            except Exception as error:
+                reason = f"{reason}; {in_words(error)}"
         return reason
 
     def figures(self) -> dict[str, Any]:
@@ -281,22 +317,20 @@ class Station:
         hashes = {"scan_hash": order.scan_hash, "field_hash": order.field_hash, "plan_hash": order.plan_hash}
         return {**hashes, "planner": order.planner, "operator": order.operator, **self.execution.figures()}
 
-    def _fire(self, shots: list[Any], now_ns: int, factor: float) -> None:
-        if not shots or self.execution is None:
-            return
-        elapsed_s = self.arm.elapsed_s
-        stamps = [now_ns - round((elapsed_s - shot.start_s) / factor * 1e9) for shot in shots]
-        self.execution.fire(shots, stamps, self.tissue_place_m(now_ns))
+    def _fire(self, shots: list[Shot], stamps_ns: list[int]) -> None:
+        """Fire at the tissue where it lay at the last look."""
+        if shots and self.execution is not None:
+            self._fired.add(self.execution.order.plan_hash)
+            self.execution.fire(shots, stamps_ns, self._look.place_m)
 
     def _why_off(self, interlock: InterlockConfig, voucher: Voucher, now_ns: int) -> str | None:
         path = self.arm.path
         assert path is not None
         moved_m = float(np.linalg.norm(self.measured_motion_m(now_ns)))
         age_s = (now_ns - path.stamp_ns) * 1e-9
-        stalled_s = (now_ns - self._looked_ns) * 1e-9
-        if self.arm.state != "executing":
-            stalled_s = 0.0
-        elif not self.arm.laser_on:
+        executing = self.arm.state == "executing"
+        stalled_s = (now_ns - (self._look.time_ns if executing else self._latest_ns)) * 1e-9
+        if not self.arm.laser_on:
             # Nothing is done to the tissue meanwhile, and the arm just goes on later. A clock that was set back is
             # told, for the age of a plan is no longer known.
             stalled_s = min(stalled_s, 0.0)

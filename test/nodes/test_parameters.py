@@ -53,6 +53,18 @@ def test_defaults_come_back_as_the_same_configuration(node: Node) -> None:
     assert list(node.get_parameter("plan.inner.sizes").value) == [1, 2]
 
 
+def test_what_is_set_together_is_read_together(node: Node) -> None:
+    parameters = ConfigParameters(node, Outer())
+    assert parameters.config() is parameters.config(), "not put together anew while values change"
+    set_to = [Parameter("length_m", value=0.25), Parameter("inner.count", value=5), Parameter("mode", value="b")]
+    assert node.set_parameters_atomically(set_to).successful
+    assert parameters.config() == Outer(Inner(count=5), 0.25, "b")
+    assert not node.set_parameters_atomically(
+        [Parameter("length_m", value=0.1), Parameter("flag", value=True)]
+    ).successful
+    assert parameters.config() == Outer(Inner(count=5), 0.25, "b")
+
+
 def test_descriptors_say_what_the_settings_say(node: Node) -> None:
     ConfigParameters(node, Outer(), read_only=("flag",))
     length = node.describe_parameter("length_m")

@@ -35,6 +35,16 @@ def test_an_abort_on_the_way_to_a_scan_cancels_the_scan(simulator_bench: Callabl
     assert len(bench.bscan.messages) == before + bench.bscans
 
 
+def test_an_abort_calls_a_scan_off_that_the_arm_need_not_move_for(simulator_bench: Callable[..., Any]) -> None:
+    bench = simulator_bench(bscan_period_s=10.0)
+    assert bench.call("scan").success
+    assert "a scan is running" in bench.call("scan").message
+    assert "the scan is cancelled" in bench.call("abort").message
+    bench.until("B-scans are not taken")
+    assert bench.node._station.scan_stamp_ns == bench.node._player.unsent == 0
+    assert bench.call("scan").success
+
+
 def test_an_abort_ends_the_execution_and_the_plan(simulator_bench: Callable[..., Any]) -> None:
     bench = simulator_bench(time_factor=0.01)
     assert "nothing" in bench.call("abort").message

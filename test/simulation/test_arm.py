@@ -130,6 +130,19 @@ def test_dark_waypoints_are_passed_without_a_shot_and_a_lone_one_is_halted_at(ar
         assert shot.dwell_s == pytest.approx(DWELL_S)
 
 
+def test_a_shot_shorter_than_a_step_is_seen_to_shine(arm):
+    arm.stage(zigzag(laser_on=np.arange(COUNT) % 2 == 0), SCAN_NS, SCAN_POSE)  # every one alone: a halt and a burst
+    arm.execute(SCAN_NS, DWELL_S)
+    seen = 0
+    while arm.state == "executing":
+        before_s, shots = arm.elapsed_s, arm.step(10 * DWELL_S)
+        assert all(before_s < shot.start_s + shot.dwell_s <= arm.elapsed_s for shot in shots)
+        assert arm.shone or not shots
+        seen += bool(shots) and not arm.laser_on
+    assert seen > 0
+    assert not arm.shone
+
+
 def test_a_stray_arm_misses_by_as_much():
     stray = np.eye(4)
     stray[:3, 3] = 0.0, 20e-6, 0.0

@@ -254,6 +254,97 @@ def test_a_shot_cut_short_by_an_abort_counts_for_what_it_did(tmp_path):
     assert last["removed_m3"] == pytest.approx(float(LASER.removed_volume_m3(last["dwell_s"])), rel=1e-3)
 
 
+def test_a_shot_cut_short_is_one_of_the_last_look_however_late_the_stop(tmp_path):
+    period_ns = round(PERIOD_S * 1e9)
+    for held_up_s, reason in ((10.0, "got none for 10.0"), (-0.05, "set back by 0.05 s")):
+        made, now_ns = station(tmp_path), NOW_NS
+        made.move_tissue(TissueMotionConfig(drift_m_s=(5e-6, 0.0, 0.0), tracker_noise_m=0.0), NOW_NS)
+        made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, now_ns, 1.0)
+        while not made.arm.laser_on:
+            now_ns += period_ns
+            assert made.step(PERIOD_S, INTERLOCK, VOUCHER, now_ns, 1.0) is None
+        drifted_m = 5e-6 * (now_ns - NOW_NS) * 1e-9
+        assert reason in made.step(PERIOD_S, INTERLOCK, VOUCHER, now_ns + round(held_up_s * 1e9), 1.0)
+        shot = lines(tmp_path, "shot")[-1]
+        assert now_ns - period_ns <= shot["time_ns"] <= now_ns
+        assert 0.0 < shot["dwell_s"] <= (now_ns - shot["time_ns"]) * 1e-9 + 1e-8
+        assert shot["actual_m"][0] - shot["planned_m"][0] == pytest.approx(-drifted_m, abs=9e-6)
+
+
+def test_shots_before_a_tolerated_delay_keep_their_times(tmp_path):
+    made, now_ns = station(tmp_path), NOW_NS
+    made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, now_ns, 1.0)
+    while not made.arm.laser_on:
+        now_ns += round(PERIOD_S * 1e9)
+        assert made.step(PERIOD_S, INTERLOCK, VOUCHER, now_ns, 1.0) is None
+    assert made.step(PERIOD_S, INTERLOCK, VOUCHER, now_ns + 300_000_000, 1.0) is None
+    first = lines(tmp_path, "shot")[0]
+    assert first["time_ns"] <= now_ns
+
+
+def test_a_plan_that_has_fired_is_not_taken_again_before_the_next_scan(tmp_path):
+    made = station(tmp_path)
+    made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, NOW_NS, 1.0)
+    made.stop("an abort before the first shot", NOW_NS, 1.0)
+    made.stage(raster())
+    made.enabled = True
+    assert run(made)[0] is None
+    with pytest.raises(ExecutionError, match="has not fired since the scan"):
+        made.stage(raster())
+    assert made.arm.state == "idle" or made.arm.state == "done"
+    made.stage(replace(raster(), hash="2" * 16))
+    made.begin_scan(NOW_NS, "6" * 16, np.zeros(3))
+    made.stage(raster())
+    assert made.arm.state == "staged"
+
+
+def test_a_clock_set_back_does_not_make_a_staged_plan_young_again(tmp_path):
+    made = station(tmp_path)
+    made.move_tissue(STILL, NOW_NS + 700_000_000_000)
+    with pytest.raises(ExecutionError, match=r"set back by 690\.00 s"):
+        made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, NOW_NS + 10_000_000_000, 1.0)
+    made.begin_scan(NOW_NS, "6" * 16, np.zeros(3))
+    made.stage(raster())
+    made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, NOW_NS + 10_000_000_000, 1.0)
+
+
+@pytest.mark.parametrize("broken", ["stray", "tissue"])
+def test_a_fault_in_a_stop_leaves_the_laser_off_and_the_record_ended(tmp_path, monkeypatch, broken):
+    def fault(*_):
+        raise RuntimeError("a fault of ours")
+
+    made, now_ns = station(tmp_path), NOW_NS
+    made.execute(OPERATOR, LASER, INTERLOCK, VOUCHER, now_ns, 1.0)
+    while not made.arm.laser_on:
+        now_ns += round(PERIOD_S * 1e9)
+        made.step(PERIOD_S, INTERLOCK, VOUCHER, now_ns, 1.0)
+    monkeypatch.setattr(*((made.arm, "_stray") if broken == "stray" else (made.tissue, "fire")), fault)
+    assert made.stop("an abort was asked for", now_ns, 1.0) == "an abort was asked for; RuntimeError: a fault of ours"
+    assert (made.arm.state, made.arm.laser_on, made.enabled) == ("aborted", False, False)
+    (end,) = lines(tmp_path, "end")
+    assert (end["outcome"], end["reason"]) == ("aborted", "an abort was asked for; RuntimeError: a fault of ours")
+
+
+def test_what_has_happened_is_written_down_as_soon_as_it_can_be(tmp_path, monkeypatch):
+    path = tmp_path / "audit.jsonl"
+    path.write_bytes(b'{"event": "shot"}\n{"event": "sh')  # of a process that was killed
+    audit = AuditRecord(path)
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr("os.fsync", full)
+        for event, happened in (("end", True), ("execute", False)):
+            with pytest.raises(ExecutionError, match="No space left"):
+                audit.write([{"event": event}], durable=True, happened=happened)
+    assert path.read_bytes() == b'{"event": "shot"}\n{"event": "sh'
+    audit.write([{"event": "execute", "number": 2}], durable=True)
+    assert path.read_text().splitlines() == [
+        '{"event": "shot"}', '{"event": "sh', '{"event": "end"}', '{"event": "execute", "number": 2}'
+    ]  # fmt: skip
+
+
 def test_what_cannot_be_written_down_is_not_fired(tmp_path):
     made = station(tmp_path)
     (tmp_path / "folder").write_text("a file where the record's folder would be")
