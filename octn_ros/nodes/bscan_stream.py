@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
@@ -26,8 +27,8 @@ class BScanStream:
     """Subscribes to `bscan` and `bscan_pose` and hands complete C-scans on.
 
     A complete C-scan waits for the first `ee_pose` after it, for `largest_pose_gap_s` at most, and only if there are
-    poses of its time at all: whether the arm moved is known then. One callback group for all of it, so nothing here
-    runs twice at a time.
+    poses of its time at all: whether the arm moved is known then. It waits by a steady clock, as simulated time may
+    stand. One callback group for all of it, so nothing here runs twice at a time.
 
     Args:
         node: the node that listens.
@@ -47,7 +48,7 @@ class BScanStream:
         refused: Callable[[str], None],
         doubted: Callable[[str], None],
     ) -> None:
-        self._node, self._config, self._poses = node, config, poses
+        self._config, self._poses = config, poses
         self._complete, self._refused, self._doubted = complete, refused, doubted
         self._in_doubt = False
         now = config()
@@ -58,11 +59,12 @@ class BScanStream:
         self._heard_ns = 0
         self._last_drop = "", 0
         self.refusals = 0
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         group = MutuallyExclusiveCallbackGroup()
         profile = qos.scan_profile(now.bscan_count, now.bscan_reliability)
         node.create_subscription(Image, "bscan", self._on_image, profile, callback_group=group)
         node.create_subscription(PoseStamped, "bscan_pose", self._on_pose, profile, callback_group=group)
-        self._look_timer = node.create_timer(_LOOK_PERIOD_S, self._look, callback_group=group)
+        self._look_timer = node.create_timer(_LOOK_PERIOD_S, self._look, callback_group=group, clock=self._steady)
         self._look_timer.cancel()
 
     @property
@@ -139,7 +141,7 @@ class BScanStream:
         config, now_ns = self._config(), self._now_ns()
         if self._unproven is not None:
             waited_s = (now_ns - self._unproven[2]) * 1e-9
-            if self._proven() or not 0.0 <= waited_s <= config.largest_pose_gap_s:
+            if self._proven() or waited_s > config.largest_pose_gap_s:
                 self._guarded(self._settle)
         if self._assembler and self.received and (now_ns - self._heard_ns) * 1e-9 > config.longest_bscan_wait_s:
             self._drop(f"C-scan dropped after {config.longest_bscan_wait_s:g} s: {self._assembler.give_up()}")
@@ -177,7 +179,7 @@ class BScanStream:
         self._complete(volume)
 
     def _now_ns(self) -> int:
-        return int(self._node.get_clock().now().nanoseconds)
+        return int(self._steady.now().nanoseconds)
 
 
 def _form(image: Image) -> str:

@@ -285,8 +285,11 @@ def test_a_scan_takes_no_pose_of_after_a_clock_was_set_back(
     assert bench.scan_ee_pose.wait(bench.timeout_s, after=2).pose.position.x == 0.1
 
 
-def test_an_arm_that_falls_silent_holds_no_scan_up_for_long(trainer_bench: Callable[..., Any], volume: Volume) -> None:
-    bench = trainer_bench(**OF_SCANNER, largest_pose_gap_s=0.3)
+@pytest.mark.parametrize("simulated", [False, True], ids=["own time", "simulated time that stands still"])
+def test_an_arm_that_falls_silent_holds_no_scan_up_for_long(
+    trainer_bench: Callable[..., Any], volume: Volume, simulated: bool
+) -> None:
+    bench = trainer_bench(**OF_SCANNER, largest_pose_gap_s=0.3, use_sim_time=simulated)
     publish_pose(bench, STAMP_NS)
     bench.client.wait_for(lambda: bench.node._poses.heard_until(STAMP_NS), bench.timeout_s, "the first pose")
     bench.scan(volume, STAMP_NS)
