@@ -78,11 +78,11 @@ class Transforms:
             if message.header.frame_id != calibration.base_frame:
                 raise OctnError(f"expected it in {calibration.base_frame}, got {message.header.frame_id!r}")
             ee2base = conversions.pose_to_matrix(message.pose)
+            moved = _transform(ee2base, calibration.ee_frame, calibration.base_frame, stamp_ns)
         except OctnError as error:
             self._node.get_logger().warning(f"ee_pose is not published on /tf: {error}", throttle_duration_sec=5.0)
             return
         self._last_ns = stamp_ns
-        moved = _transform(ee2base, calibration.ee_frame, calibration.base_frame, stamp_ns)
         self._moving.publish(TFMessage(transforms=[moved]))
 
 

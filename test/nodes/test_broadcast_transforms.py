@@ -94,6 +94,9 @@ def test_poses_that_say_nothing_are_left_out(graph: Any) -> None:
     lame = conversions.matrix_to_pose_stamped(ARM, 1, "base_link")
     lame.pose.orientation.w = float("nan")
     graph.ee_pose.publish(lame)
+    late = conversions.matrix_to_pose_stamped(ARM, 0, "base_link")
+    late.header.stamp.sec, late.header.stamp.nanosec = 2**31 - 1, 2**32 - 1  # no message has room for both together
+    graph.ee_pose.publish(late)
     graph.say(ARM, 2, "another_base")
     graph.say(ARM, 3)
     graph.say(ARM, 3)
