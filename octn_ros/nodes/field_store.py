@@ -89,11 +89,11 @@ class FieldStore:
             with replacing(self.path) as temporary:
                 temporary.touch(mode=0o600)  # tissue of a patient is for nobody else on the machine
                 with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-                    archive.writestr(_RECORD, json.dumps(record))
-                    archive.writestr(_ENFACE, view.getvalue())
-                    archive.writestr(_FIELD, kept.data)
-        except OSError as error:
-            raise CheckpointError(f"{self.path}: cannot keep the field: {error.strerror or error}") from error
+                    for name, part in ((_RECORD, json.dumps(record)), (_ENFACE, view.getvalue()), (_FIELD, kept.data)):
+                        archive.writestr(_entry(name), part)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise CheckpointError(f"{self.path}: cannot keep the field: {reason}") from error
 
     def clear_leftovers(self) -> None:
         """Remove what a process left behind that was killed while it kept a field; for the only user of the file."""
@@ -134,6 +134,13 @@ def store_path(parameter: str, node_name: str) -> Path | None:
     home = os.environ.get("ROS_HOME")
     folder = Path(home) if home else Path.home() / ".ros"
     return folder / "octn_ros" / f"{node_name.strip('/').replace('/', '.')}.field.zip"
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """Return an entry of the archive without a date, which a clock before 1980 could not give it."""
+    entry = zipfile.ZipInfo(name)
+    entry.external_attr = 0o600 << 16
+    return entry
 
 
 def _part(archive: zipfile.ZipFile, name: str, size: int) -> bytes:

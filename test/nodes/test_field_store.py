@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import time
 import zipfile
 from pathlib import Path
 
@@ -48,6 +49,23 @@ def test_what_is_kept_comes_back_to_the_last_bit(store: FieldStore) -> None:
     assert found.pose is not None
     assert (found.pose.stamp_ns, found.pose.frame) == (STAMP_NS - 7, "base_link")
     np.testing.assert_allclose(found.pose.ee2base, EE2BASE, atol=1e-15)
+
+
+def test_a_clock_that_was_never_set_keeps_a_field_too(store: FieldStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "time", lambda: 100.0)  # of 1970, before what a zip archive can say
+    store.keep(kept_of(1))
+    found = store.load()
+    assert found is not None
+    assert found.data == kept_of(1).data
+
+
+def test_a_field_that_no_archive_holds_is_refused_as_one(store: FieldStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_large(*_: object) -> None:
+        raise ValueError("too large")
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", too_large)
+    with pytest.raises(CheckpointError, match="cannot keep the field: too large"):
+        store.keep(kept_of(1))
 
 
 def test_a_scan_without_a_pose_is_kept_without_one(store: FieldStore) -> None:
