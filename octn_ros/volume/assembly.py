@@ -14,6 +14,7 @@ from octn_ros.volume.bscan_places import BScanPlaces
 from octn_ros.volume.geometry import VolumeGeometry
 from octn_ros.volume.volume import IntensityScale, Volume
 
+_LEAST_STEPS = 3  # from one B-scan to the next: what fewer take is no time that a C-scan takes
 _DTYPES = (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32))
 
 
@@ -174,11 +175,17 @@ class CScanAssembler:
         steps_ns = np.diff(self._stamps_ns)
         last = int(steps_ns.argmax())
         longest_ns, others_ns = int(steps_ns[last]), int(steps_ns.sum() - steps_ns[last])
-        # A scanner whose stamps are those of a busy computer may pause, but hardly for longer than it scans.
-        if longest_ns > others_ns > 0:
+        if not others_ns:
+            return
+        # A scanner whose stamps are those of a busy computer may pause, but hardly for longer than it scans, or than
+        # three steps where it scans less. Between two C-scans lie three steps more than all others together.
+        steps = len(steps_ns) - 1
+        counted = max(steps, _LEAST_STEPS)
+        most_ns = others_ns * counted // steps
+        if longest_ns > most_ns:
             self._drop(
-                f"B-scan {last + 1}: expected a stamp nearer to that of B-scan {last} than the {others_ns * 1e-6:.6g} "
-                f"ms that all others take, got one {longest_ns * 1e-6:.6g} ms after it; they are of two C-scans"
+                f"B-scan {last + 1}: expected a stamp nearer to that of B-scan {last} than the {most_ns * 1e-6:.6g} ms "
+                f"that {counted} others take, got one {longest_ns * 1e-6:.6g} ms after it; they are of two C-scans"
             )
 
     def _finish(self, voxels: NDArray[Any]) -> Volume:

@@ -308,6 +308,24 @@ def test_the_end_of_one_scan_is_not_completed_by_the_next(assembler, volume, bsc
     np.testing.assert_array_equal(feed(assembler, later)[-1].array, volume.array)
 
 
+@pytest.mark.parametrize("count", range(2, 7))
+def test_a_pace_that_jitters_is_told_from_two_scans_however_few_the_bscans(volume, count):
+    generator = np.random.default_rng(count)
+    few = list(Scanner(volume).bscans(0, 1))[:count]
+    assembler, step_ns = CScanAssembler(count, volume.geometry.spacing_m), 10_000_000
+
+    def scan(missed=0, lost_from=0):
+        stamps = np.arange(count) * step_ns + generator.integers(-500_000, 500_000, count)
+        stamps[lost_from:] += missed * count * step_ns
+        return feed(assembler, [dataclasses.replace(s, stamp_ns=int(ns)) for s, ns in zip(few, stamps, strict=True)])
+
+    for _ in range(50):
+        assert scan()[-1] is not None
+    for lost_from in range(1, count if count > 2 else 0):  # of two B-scans nobody knows the pace
+        with pytest.raises(VolumeError, match="of two C-scans"):
+            scan(1, lost_from)
+
+
 def test_a_scanner_that_keeps_no_even_pace_is_heard(assembler, bscans, volume):
     steps = np.array([0, 100, 40, 170, 400, 100])
     uneven = [dataclasses.replace(scan, stamp_ns=int(ns)) for scan, ns in zip(bscans, steps.cumsum(), strict=True)]
