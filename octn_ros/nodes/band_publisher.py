@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from octn_ros.nodes import conversions, qos
-from octn_ros.nodes.field_receiver import ReceivedField
+from octn_ros.nodes.field_receiver import FieldReceiver, ReceivedField
 from octn_ros.nodes.latest_work import LatestWork
 from octn_ros.query import BandQuery, Box, Region, find_band
 from octn_ros.settings import check_settings, setting
@@ -54,7 +54,7 @@ class BandPublisher:
     Args:
         node: the node that publishes.
         wanted: returns the limits and the region as they now are.
-        field: returns the present field, or raises why there is none.
+        fields: has the present field, or says why there is none.
         failed: told why a band could not be published again.
     """
 
@@ -62,10 +62,10 @@ class BandPublisher:
         self,
         node: Node,
         wanted: Callable[[], tuple[BandQuery, Region | None]],
-        field: Callable[[], ReceivedField],
+        fields: FieldReceiver,
         failed: Callable[[str], None],
     ) -> None:
-        self._wanted, self._field, self._failed = wanted, field, failed
+        self._wanted, self._fields, self._failed = wanted, fields, failed
         self._publisher = node.create_publisher(PointCloud2, "band", qos.LATCHED)
         self._lock = threading.Lock()
         self._asked = False
@@ -105,13 +105,15 @@ class BandPublisher:
                 self._publish(look)
             except Exception:
                 look()  # raises where it was superseded, which is no failure
-                self._send(self._field(), np.empty((0, len(COLUMNS))))
+                received = self._fields.current  # which may no longer be good enough for a band
+                if received is not None:
+                    self._send(received, np.empty((0, len(COLUMNS))))
                 raise
 
     def _publish(self, look: Callable[[], None]) -> str:
         """Find and publish the band; the lock is held. Returns what was found, in words."""
         began = time.perf_counter()
-        received = self._field()
+        received = self._fields.required()
         query, region = self._wanted()
         found = find_band(received.field, query, region, progress=lambda _: look())
         self._send(received, np.column_stack([found.points_m, found.intensity]))

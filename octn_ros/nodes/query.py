@@ -72,7 +72,7 @@ class Query(Node):
         self._band = BandPublisher(
             self,
             self._wanted_band,
-            self._fields.required,
+            self._fields,
             lambda reason: self._failed(f"the band is withdrawn: {reason}"),
         )
         self._points = PointAnswers(

@@ -223,6 +223,15 @@ def test_a_band_of_too_many_points_is_withdrawn(spin: Callable[..., Any], client
     assert "at most 1,000 points" in answer.message
 
 
+def test_a_band_of_a_field_that_is_no_longer_good_enough_is_withdrawn(bench: Bench) -> None:
+    bands = bench.client.watch(PointCloud2, "band")
+    bench.give(cubic_volume(noise))
+    assert bench.band().success
+    assert all(result.successful for result in bench.set(("least_field_kind", "neural"), ("band.low", 0.9)))
+    assert bands.wait(TIMEOUT_S, lambda message: message.width == 0).header == conversions.header(STAMP_NS, OCT)
+    bench.until("the band is withdrawn", "least_field_kind")
+
+
 def test_a_field_that_comes_during_the_first_question_for_the_band_is_answered_for_too(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
