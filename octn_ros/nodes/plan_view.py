@@ -89,7 +89,7 @@ class PlanView:
         self._enface = message
         shown = self._shown
         if shown is not None and shown.received.stamp_ns == conversions.stamp_to_ns(message.header.stamp):
-            self._ask(shown)
+            self._start.reset()  # and not asked for: another thread may have withdrawn meanwhile what was shown
 
     def _ask(self, shown: _Shown) -> None:
         self._shown = shown

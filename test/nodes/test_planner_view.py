@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from octn_ros.field import (
 )
 from octn_ros.nodes import conversions, qos, status
 from octn_ros.nodes.diagnostics import TOPIC as DIAGNOSTICS
-from octn_ros.nodes.field_receiver import _check_values
+from octn_ros.nodes.field_receiver import ReceivedField, _check_values
 from octn_ros.nodes.plan_preview import LINE_PX, MARGIN_PX, SIDE_PX
 from octn_ros.nodes.planner import Planner
 from octn_ros.planning import from_translation_quaternion
@@ -88,6 +89,24 @@ def is_coloured(pixels: np.ndarray) -> np.ndarray:
 
 def picture(message: Image) -> np.ndarray:
     return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
+
+
+def test_a_view_that_comes_while_a_plan_is_withdrawn_does_not_bring_it_back(
+    spin: Callable[..., Any], volume: Volume, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view, stamp_to_ns = spin(Planner, device="cpu")._view, conversions.stamp_to_ns
+    received = ReceivedField(InterpolatedField(volume), "ab12" * 4, STAMP_NS, OCT)
+
+    def meanwhile(stamp: Any) -> int:
+        view.clear(received)
+        return stamp_to_ns(stamp)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(view, "_start", SimpleNamespace(reset=lambda: None))  # nothing is drawn
+        view.show(received, SimpleNamespace(), None)
+        patched.setattr(conversions, "stamp_to_ns", meanwhile)
+        view._on_enface(OccupancyGrid(header=conversions.header(STAMP_NS, OCT)))
+    assert view._shown.plan is None
 
 
 def test_path_markers_and_preview_show_the_plan_until_a_new_field_comes(
