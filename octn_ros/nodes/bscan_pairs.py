@@ -8,7 +8,7 @@ from sensor_msgs.msg import Image
 from octn_ros.errors import VolumeError
 from octn_ros.nodes.conversions import stamp_to_ns
 
-_MOST_POSES = 100_000  # that wait for their images: more than any C-scan has B-scans
+_MOST = 100_000  # of each that wait for the other: more than any C-scan has B-scans
 
 
 class BScanPairs:
@@ -21,6 +21,7 @@ class BScanPairs:
     def __init__(self, largest_bytes: int) -> None:
         self._largest_bytes = largest_bytes
         self._images: dict[int, Image] = {}
+        self._bytes = 0  # of all of them
         self._poses: dict[int, PoseStamped] = {}
 
     def add_image(self, image: Image) -> tuple[Image, PoseStamped] | None:
@@ -29,12 +30,14 @@ class BScanPairs:
         Raises:
             VolumeError: so many images wait for poses that memory would run out; all of them are forgotten.
         """
-        self._images[stamp_to_ns(image.header.stamp)] = image
-        pair = self._join(stamp_to_ns(image.header.stamp))
-        waiting = sum(len(kept.data) for kept in self._images.values())
-        if waiting > self._largest_bytes:
-            count = len(self._images)
-            self._images.clear()
+        stamp_ns = stamp_to_ns(image.header.stamp)
+        replaced = self._images.pop(stamp_ns, None)
+        self._images[stamp_ns] = image
+        self._bytes += len(image.data) - (0 if replaced is None else len(replaced.data))
+        pair = self._join(stamp_ns)
+        if self._bytes > self._largest_bytes or len(self._images) > _MOST:
+            count, waiting = len(self._images), self._bytes
+            self._images, self._bytes = {}, 0
             raise VolumeError(
                 f"expected a bscan_pose of equal stamp for every image on bscan, got none for {count} images of "
                 f"{waiting:,} bytes; they are dropped. Is bscan_pose published, with the stamps of the images?"
@@ -44,7 +47,7 @@ class BScanPairs:
     def add_pose(self, pose: PoseStamped) -> tuple[Image, PoseStamped] | None:
         """Take a pose; return it with its image if that is here."""
         self._poses[stamp_to_ns(pose.header.stamp)] = pose
-        if len(self._poses) > _MOST_POSES:
+        if len(self._poses) > _MOST:
             del self._poses[next(iter(self._poses))]
         return self._join(stamp_to_ns(pose.header.stamp))
 
@@ -54,5 +57,6 @@ class BScanPairs:
         pair = self._images[stamp_ns], self._poses[stamp_ns]
         # Both topics are ordered: what is older than a complete pair has lost its partner for good.
         self._images = {stamp: image for stamp, image in self._images.items() if stamp > stamp_ns}
+        self._bytes = sum(len(image.data) for image in self._images.values())
         self._poses = {stamp: pose for stamp, pose in self._poses.items() if stamp > stamp_ns}
         return pair

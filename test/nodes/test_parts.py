@@ -11,7 +11,7 @@ from sensor_msgs.msg import Image
 
 from octn_ros.errors import ConfigurationError, PlanError, VolumeError
 from octn_ros.field.device import torch_device
-from octn_ros.nodes import conversions, pose_history, qos
+from octn_ros.nodes import bscan_pairs, conversions, pose_history, qos
 from octn_ros.nodes.bscan_pairs import BScanPairs
 from octn_ros.nodes.frames import ScanFrames
 from octn_ros.nodes.pose_history import PoseHistory, StampedPose
@@ -132,6 +132,16 @@ def test_images_without_poses_are_forgotten_before_they_fill_the_memory() -> Non
     assert pairs.add_pose(stamped(PoseStamped, 5)) is None
     assert pairs.add_image(stamped(Image, 6)) is None
     assert pairs.add_pose(stamped(PoseStamped, 6)) is not None
+
+
+def test_images_without_data_are_forgotten_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bscan_pairs, "_MOST", 4)
+    pairs = BScanPairs(100)
+    for stamp_ns in (1, 1, 2, 3, 4):
+        assert pairs.add_image(stamped(Image, stamp_ns)) is None
+    with pytest.raises(VolumeError, match="got none for 5 images of 0 bytes"):
+        pairs.add_image(stamped(Image, 5))
+    assert pairs.add_pose(stamped(PoseStamped, 5)) is None
 
 
 def test_a_job_that_restarts_ends_the_running_one_and_is_next() -> None:
