@@ -17,7 +17,7 @@ _CHUNK = CHUNK_POINTS // 2
 
 
 class InterpolatedField(DifferentiableField):
-    """Interpolation through the voxels of a volume; read-only, thread-safe, exact at the voxels.
+    """Interpolation through the voxels of a volume; read-only, thread-safe, exact at the voxels but for float32.
 
     Trilinear: continuous; the gradient is exact inside a voxel cell and that of the far cell at its faces; unmixed
     second derivatives vanish. Cubic: a B-spline, twice continuously differentiable inside the cube, so that curvature

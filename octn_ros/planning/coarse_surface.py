@@ -12,7 +12,7 @@ from scipy import ndimage
 from octn_ros.errors import PlanError
 from octn_ros.field import Field
 from octn_ros.planning.candidate_choice import choose_smooth
-from octn_ros.planning.step_levels import aligned_steps, strongest_steps, voxels_of_a_box
+from octn_ros.planning.step_levels import aligned_steps, strongest_steps, usual_step, voxels_of_a_box
 from octn_ros.query.lattice import canonical_index, lattice_size
 from octn_ros.settings import check_settings, setting
 
@@ -22,6 +22,10 @@ _ALIGNMENTS = 2
 _CREDIBLE = 0.35
 # Distance between the interpolated depth and the nearest A-scan's own plane from which a cliff lies between them.
 _CLIFF_M = 44e-6
+# Percentile of the levels above the steps that is that of air: of most A-scans the top may lie in the tissue.
+_AIR_PERCENTILE = 10
+# Brightness over that of air, as a share of the usual step, below which a step rises from air.
+_AIR_AGAIN = 0.5
 # A step below this is rounding, not a surface.
 _SMALLEST_STEP = 1e-6
 
@@ -61,13 +65,15 @@ class CoarseSurface:
     Attributes:
         depth: fractional axial voxel index where the averaged A-scan rises through the middle of the step.
         step: its height, the level below it less the level above it.
-        clearness: 1 minus the strength of the best step above it as a share of its own, 0 to 1. (A step below it is one
-            inside the tissue.)
+        clearness: 1 minus the strength of its best rival as a share of its own, 0 to 1. A step above it is a rival; one
+            below it is one inside the tissue, unless it rises from air again below a step right under the first row,
+            where scanners show bright bands of their own.
         air: level above the step.
         tissue: level below the step.
         lateral_m: x of the columns [lateral] in the OCT frame.
         bscan_m: y of the rows [bscan].
-        typical_step: median height of the steps.
+        typical_step: median height of the steps of tissue.
+        typical_air: level of the air.
         axial_m: metres of an axial voxel.
     """
 
@@ -79,6 +85,7 @@ class CoarseSurface:
     lateral_m: NDArray[np.float64]
     bscan_m: NDArray[np.float64]
     typical_step: float
+    typical_air: float
     axial_m: float
 
     def sample(self, values: NDArray[np.floating], points_m: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -159,10 +166,11 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     # Air is what lies above the first step that counts, whatever is brighter in the depth.
     counts = strength >= _CREDIBLE * strength.max(axis=-1, keepdims=True)
     first = np.where(counts, place, ascans.shape[-1]).argmin(axis=-1)[..., None]
-    usual_air = np.median(np.take_along_axis(air, first, axis=-1))
-    usual = max(float(np.median(np.take_along_axis(strength, first, axis=-1))), _SMALLEST_STEP)
+    usual_air = np.percentile(np.take_along_axis(air, first, axis=-1), _AIR_PERCENTILE)
+    usual = max(usual_step(np.take_along_axis(strength, first, axis=-1)), _SMALLEST_STEP)
     # Where it is brighter above than air is, a step is one inside the tissue, or there is glare.
     bright = (air - usual_air) / usual
+    from_air = np.where(bright < _AIR_AGAIN, strength, 0.0)
     strength = strength * np.clip(1.0 - bright, 0.0, 1.0)
     if not strength.max() > _SMALLEST_STEP:
         raise PlanError(
@@ -173,14 +181,15 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     chosen = choose_smooth(place, strength / usual, slope_per_voxel, config.smoothness)
     depth = np.take_along_axis(place, chosen[..., None], axis=-1)[..., 0]
     own = np.take_along_axis(strength, chosen[..., None], axis=-1)[..., 0]
-    rivals = np.where(place < depth[..., None], strength, 0.0).max(axis=-1)
+    above = np.where(place < depth[..., None], strength, 0.0).max(axis=-1)
+    again = np.where(place > depth[..., None] + 2 * box, from_air, 0.0).max(axis=-1)
+    rivals = np.where(depth * geometry.spacing_m[1] < config.window_m, np.maximum(above, again), above)
     fine = depth.astype(np.float64)
     for _ in range(_ALIGNMENTS):
         # An A-scan that lies off its neighbours is looked at where they are; the others keep crests and cliffs sharp.
         agreed = ndimage.median_filter(fine, 3, mode="nearest")
         place = np.rint(np.where(np.abs(fine - agreed) > box, agreed, fine)).astype(np.intp)
         fine, above, below = aligned_steps(ascans, place, box, window)
-    typical_step = float(np.median(below - above))
     return CoarseSurface(
         depth=fine,
         step=(below - above).astype(np.float32),
@@ -189,7 +198,8 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
         tissue=below,
         lateral_m=geometry.origin_m[0] + column * geometry.spacing_m[2],
         bscan_m=geometry.origin_m[1] + row * geometry.spacing_m[0],
-        typical_step=typical_step,
+        typical_step=usual_step(below - above),
+        typical_air=float(np.percentile(above, _AIR_PERCENTILE)),
         axial_m=geometry.spacing_m[1],
     )
 

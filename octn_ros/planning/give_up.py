@@ -31,7 +31,7 @@ _REASONS = {
     GiveUp.FLAT: "the intensity does not rise through tau near the coarse surface, where its gradient is too small",
     GiveUp.NOT_CONVERGED: "the refinement did not come close enough to tau",
     GiveUp.WEAK: "the step from air to tissue is much weaker than elsewhere, as in a shadow",
-    GiveUp.AMBIGUOUS: "another step above it is nearly as strong",
+    GiveUp.AMBIGUOUS: "another step, above it or from air again below the first rows, is nearly as strong",
     GiveUp.GLARE: "the air above it is as bright as in a reflection",
     GiveUp.OUTLIER: "it lies off the surface of its neighbours",
     GiveUp.UNSTEADY: "the level set around it is rougher than can be trusted",

@@ -12,6 +12,8 @@ from octn_ros.field.backend import numba_is_there
 
 # Boxes on either side of a step; a layer has to fill more than one of them to be taken for tissue.
 _BOXES = 5
+# Share of the height of the highest steps from which one is of tissue, and not of a background without any.
+_SUBSTANTIAL = 0.15
 
 
 def voxels_of_a_box(window: float) -> int:
@@ -127,6 +129,16 @@ def strongest_steps_reference(
     return place, strength, np.take_along_axis(levels.above, place, axis=-1)
 
 
+def substantial(steps: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return which steps are as high as those of tissue: tissue may be under a part of the raster only."""
+    return steps >= _SUBSTANTIAL * np.percentile(steps, 90)
+
+
+def usual_step(steps: NDArray[np.floating]) -> float:
+    """Return the median of the substantial steps."""
+    return float(np.median(steps[substantial(steps)]))
+
+
 def aligned_steps(
     ascans: NDArray[np.float32], place: NDArray[np.integer], box: int, lateral: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
@@ -150,7 +162,7 @@ def aligned_steps(
     best = levels.strength[..., around].argmax(axis=-1) + around.start
     above, below = levels.at(best)
     step = below - above
-    fine = levels.crossing(best, above + 0.5 * np.minimum(step, np.median(step)))
+    fine = levels.crossing(best, above + 0.5 * np.minimum(step, usual_step(step)))
     return place + (fine - reach), above, below
 
 

@@ -19,6 +19,7 @@ from octn_ros.planning.raster import RasterPattern
 from octn_ros.planning.refinement import SmoothObjective, gradient_descent, least_squares, turn_mask
 from octn_ros.planning.search_config import SurfaceSearchConfig
 from octn_ros.planning.search_result import SurfaceSearch
+from octn_ros.planning.step_levels import substantial
 from octn_ros.planning.trust import judge
 from octn_ros.volume import VolumeGeometry
 
@@ -225,8 +226,8 @@ def _levels(
 def surface_tau(field: Field, surface: CoarseSurface) -> float:
     """Return tau as the paper estimates it (eq. 7): the median intensity of the coarse surface's points.
 
-    Unlike the paper's it is kept apart from air and tissue: below a sharp edge that soon fades, the middle of the step
-    between their levels is reached above the edge, so that the median is that of air.
+    Unlike the paper's it is that of A-scans with tissue, and kept apart from both levels: below a sharp edge that soon
+    fades, the middle of the step between them is reached above the edge, so that the median is that of air.
     """
     geometry = field.geometry
     rows, columns = surface.depth.shape
@@ -234,8 +235,10 @@ def surface_tau(field: Field, surface: CoarseSurface) -> float:
     z = geometry.origin_m[2] + surface.depth.ravel() * geometry.spacing_m[1]
     points = geometry.metric_to_canonical(np.column_stack([x, y, z])).astype(np.float32)
     with torch.no_grad():
-        median = float(field.evaluate(torch.from_numpy(points).to(field.device)).median())
-    air, step = float(np.median(surface.air)), surface.typical_step
+        levels = field.evaluate(torch.from_numpy(points).to(field.device)).cpu()
+    tissue = substantial(surface.step).ravel()
+    median, air = float(levels[torch.from_numpy(tissue)].median()), float(np.median(surface.air.ravel()[tissue]))
+    step = surface.typical_step
     return min(max(median, air + _APART * step), air + (1.0 - _APART) * step)
 
 

@@ -88,7 +88,7 @@ def judge(
     usual = surface.typical_step
     step = surface.sample(surface.step, points) / usual
     clearness = surface.sample(surface.clearness, points)
-    glare = (surface.sample(surface.air, points) - np.median(surface.air)) / usual
+    glare = (surface.sample(surface.air, points) - surface.typical_air) / usual
     voxel = geometry.spacing_m[1]
     for wrong, why in (
         (step < trust.min_step, GiveUp.WEAK),

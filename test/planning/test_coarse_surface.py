@@ -90,7 +90,7 @@ def surface_of(depth):
     """A coarse surface with these depths [9, 12] in voxels, 0.1 mm apart."""
     none = np.zeros(depth.shape, dtype=np.float32)
     lattice = np.arange(12) * 1e-4, np.arange(9) * 1e-4
-    return CoarseSurface(depth, none, none, none, none, *lattice, typical_step=1.0, axial_m=14.59e-6)
+    return CoarseSurface(depth, none, none, none, none, *lattice, typical_step=1.0, typical_air=0.0, axial_m=14.59e-6)
 
 
 PLACES = np.random.default_rng(3).uniform((0.0, 0.0), (1.1e-3, 0.8e-3), (400, 2))

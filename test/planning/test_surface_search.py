@@ -20,7 +20,7 @@ from octn_ros.planning import (
 from octn_ros.planning.axial_root import AxialLines, Brackets, bracket_rises, refine_roots
 from octn_ros.planning.step_levels import StepLevels
 from octn_ros.simulation import make_phantom, named_phantom
-from octn_ros.volume import Volume, VolumeGeometry
+from octn_ros.volume import Volume, VolumeGeometry, gaussian_filter
 
 TAU = 0.4  # the middle of air and tissue, so that the level set is the true surface
 RASTER = rectangle_raster((2e-4, -1e-4), (8e-4, 7e-4), 0.0)
@@ -121,6 +121,72 @@ def test_the_estimated_tau_keeps_apart_from_air_under_a_sharp_edge_that_soon_fad
     truth = 14e-6 * (36.7 + 0.1 * raster.points_m[:, 0] / 14e-6)
     assert np.nanmax(np.abs(search.depth_m - truth)) < 28e-6
     assert np.nanmedian(np.abs(search.depth_m - truth)) < 14e-6
+
+
+SCENE = VolumeGeometry((40, 96, 64), (28e-6, 14.59e-6, 14e-6))
+
+
+def scene(power):
+    """A field of a mean power [bscan, axial, lateral], averaged speckle on a logarithmic display of 33 dB."""
+    speckled = power * np.random.default_rng(0).gamma(4.0, 0.25, SCENE.shape)
+    level = np.clip((10.0 * np.log10(speckled) + 30.0) / 33.0, 0.0, 1.0)
+    return InterpolatedField(
+        gaussian_filter(Volume(np.rint(255.0 * level).astype(np.uint8), SCENE, (0.0, 255.0), "log"))
+    )
+
+
+def scene_axes():
+    """The depth z [1, axial, 1] and the lateral x [1, 1, lateral] of a scene, and how far its surface lies above z."""
+    y, z, x = (np.arange(count) * spacing for count, spacing in zip(SCENE.shape, SCENE.spacing_m, strict=True))
+    y, z, x = y[:, None, None], z[None, :, None], x[None, None, :]
+    return z, x, z - (550e-6 + 60e-6 * np.sin(2 * np.pi * x / 600e-6) + 0.1 * y)
+
+
+def scattered(below):
+    """The power that tissue sends back from a depth below its surface."""
+    return np.exp(-2e3 * below.clip(0)) / (1.0 + np.exp(-below / 4e-6))
+
+
+SCENE_RASTER = rectangle_raster((5e-5, 6e-5), (8.2e-4, 1e-3), 0.0)
+
+
+def scene_depth(points_m):
+    x, y = points_m.T
+    return 550e-6 + 60e-6 * np.sin(2 * np.pi * x / 600e-6) + 0.1 * y
+
+
+def test_a_faint_background_beside_the_tissue_is_not_planned_on():
+    z, x, below = scene_axes()
+    background = 2e-3 + 2e-3 * (z > 9e-4)  # 3 dB
+    search = find_surface(scene(background + scattered(below) * (x <= 3.6e-4)), SCENE_RASTER)
+    everywhere = find_surface(scene(background + scattered(below)), SCENE_RASTER)
+    bare = SCENE_RASTER.points_m[:, 0] > 3.9e-4
+    assert search.given_up[bare].all()
+    tissue = SCENE_RASTER.points_m[:, 0] < 3e-4
+    assert search.given_up[tissue].mean() < 0.1
+    assert np.nanmedian(np.abs(search.depth_m - everywhere.depth_m)[tissue]) < 3e-6
+    assert np.nanmedian(np.abs(everywhere.depth_m - scene_depth(SCENE_RASTER.points_m))) < 20e-6
+
+
+def test_a_bright_band_under_the_first_rows_is_not_taken_for_the_surface():
+    z, _, below = scene_axes()
+    band = np.exp(-z / 9e-5) * (z > 2.5 * 14.59e-6)  # a scanner's autocorrelation, its first three rows blanked
+    search = find_surface(scene(2e-3 + scattered(below) + band), SCENE_RASTER)
+    kept = ~search.given_up
+    assert kept.mean() < 0.1, "so few that no plan is made"
+    clean = find_surface(scene(2e-3 + scattered(below)), SCENE_RASTER)
+    assert clean.given_up.mean() < 0.05
+
+
+def test_a_layer_is_not_planned_on_where_the_tissue_leaves_the_scan_at_its_top():
+    z, x, _ = scene_axes()
+    surface = 2e-4 * (x < 3e-4) - 1e-4 * (x >= 3e-4)
+    layer = 0.8 * np.exp(-2e3 * (z - 7e-4).clip(0)) * (z > 7e-4)
+    search = find_surface(scene(2e-3 + scattered(z - surface) + layer), SCENE_RASTER)
+    kept = ~search.given_up
+    assert not kept[SCENE_RASTER.points_m[:, 0] > 3.3e-4].any()
+    left = search.depth_m[SCENE_RASTER.points_m[:, 0] < 2.7e-4]
+    assert np.nanmax(np.abs(left - 2e-4)) < 50e-6
 
 
 def test_points_without_tissue_are_given_up_with_a_reason(make_field):

@@ -18,7 +18,7 @@ def coarse_surface():
     lattice = np.arange(12) * 140e-6
     flat = np.full((12, 12), DEPTH)
     step, air = np.full((12, 12), 0.6, dtype=np.float32), np.full((12, 12), 0.1, dtype=np.float32)
-    return CoarseSurface(flat, step, np.ones_like(step), air, air + step, lattice, lattice, 0.6, 14.59e-6)
+    return CoarseSurface(flat, step, np.ones_like(step), air, air + step, lattice, lattice, 0.6, 0.1, 14.59e-6)
 
 
 def judged(off_m, hole):
