@@ -28,7 +28,8 @@ class BScanStream:
 
     A complete C-scan waits for the first `ee_pose` after it, for `largest_pose_gap_s` at most, and only if there are
     poses of its time at all: whether the arm moved is known then. It waits by a steady clock, as simulated time may
-    stand. One callback group for all of it, so nothing here runs twice at a time.
+    stand; B-scans are waited for by the node's, as their scanner may stand with it. One callback group for all of it,
+    so nothing here runs twice at a time.
 
     Args:
         node: the node that listens.
@@ -48,14 +49,14 @@ class BScanStream:
         refused: Callable[[str], None],
         doubted: Callable[[str], None],
     ) -> None:
-        self._config, self._poses = config, poses
+        self._node, self._config, self._poses = node, config, poses
         self._complete, self._refused, self._doubted = complete, refused, doubted
         self._in_doubt = False
         now = config()
         self._pairs = BScanPairs(_VOXEL_BYTES * now.largest_scan_voxels)
         self._assembler: CScanAssembler | None = None
         self._assembled_with: tuple[object, ...] = ()
-        self._unproven: tuple[Volume, int, int] | None = None  # C-scan, its last stamp, the clock when it was complete
+        self._unproven: tuple[Volume, int, int] | None = None  # C-scan, its last stamp, when it was complete (steady)
         self._heard_ns = 0
         self._last_drop = "", 0
         self.refusals = 0
@@ -114,7 +115,7 @@ class BScanStream:
         volume = assembler.add(conversions.image_to_array(image), image2oct, stamp_ns, _form(image))
         if volume is not None:
             self._guarded(self._settle)  # one C-scan on the heels of another
-            self._unproven = volume, assembler.last_stamp_ns, self._heard_ns
+            self._unproven = volume, assembler.last_stamp_ns, self._steady.now().nanoseconds
             if self._poses.nearest(stamp_ns, self._config().largest_pose_gap_s) is None or self._proven():
                 self._settle()
 
@@ -140,7 +141,7 @@ class BScanStream:
         """See to what a callback cannot wait for: the poses after a C-scan, and B-scans that do not come."""
         config, now_ns = self._config(), self._now_ns()
         if self._unproven is not None:
-            waited_s = (now_ns - self._unproven[2]) * 1e-9
+            waited_s = (self._steady.now().nanoseconds - self._unproven[2]) * 1e-9
             if self._proven() or waited_s > config.largest_pose_gap_s:
                 self._guarded(self._settle)
         if self._assembler and self.received and (now_ns - self._heard_ns) * 1e-9 > config.longest_bscan_wait_s:
@@ -179,7 +180,7 @@ class BScanStream:
         self._complete(volume)
 
     def _now_ns(self) -> int:
-        return int(self._steady.now().nanoseconds)
+        return int(self._node.get_clock().now().nanoseconds)
 
 
 def _form(image: Image) -> str:
