@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import sys
 import typing
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -33,6 +33,7 @@ class ConfigParameters(Generic[Config]):
         prefix: put before every name, with a dot.
         read_only: names (without prefix) that can be given at the start only; True for all of them.
         leave_out: names (without prefix) that are not for this node to choose; they keep the default.
+        changed: called after any of them was set, when `config` returns the new values.
 
     Raises:
         ConfigurationError: the values given at the start do not fit together.
@@ -46,8 +47,9 @@ class ConfigParameters(Generic[Config]):
         *,
         read_only: Collection[str] | bool = (),
         leave_out: Collection[str] = (),
+        changed: Callable[[], None] = lambda: None,
     ) -> None:
-        self._default = default
+        self._default, self._changed = default, changed
         self._prefix = f"{prefix}." if prefix else ""
         self._types: dict[str, Any] = {}
         for name, value, hint, metadata in _settings(default):
@@ -75,23 +77,25 @@ class ConfigParameters(Generic[Config]):
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            self._build(self._with(parameters))
+            self._build({**self._values, **self._own(parameters)})
         except (OctnError, TypeError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _take(self, parameters: list[Parameter]) -> None:
-        self._values = self._with(parameters)
-        self._config = self._build(self._values)
+        # Who else is called when parameters were set may be called before this, so `changed` is for whoever reads them.
+        if own := self._own(parameters):
+            self._values |= own
+            self._config = self._build(self._values)
+            self._changed()
 
-    def _with(self, parameters: list[Parameter]) -> dict[str, Any]:
-        """Return the values with those of these parameters that are of this configuration."""
-        changed = {
+    def _own(self, parameters: list[Parameter]) -> dict[str, Any]:
+        """Return the values of those parameters that are of this configuration, by their names without the prefix."""
+        return {
             parameter.name.removeprefix(self._prefix): parameter.value
             for parameter in parameters
             if parameter.name.startswith(self._prefix) and parameter.name.removeprefix(self._prefix) in self._types
         }
-        return {**self._values, **changed}
 
 
 def undeclared_parameters(node: Node) -> list[str]:

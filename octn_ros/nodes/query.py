@@ -12,7 +12,6 @@ from nav_msgs.srv import GetPlan, LoadMap
 from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
@@ -53,9 +52,11 @@ class Query(Node):
         # Normals are found as the planner finds them; where the focus would lie is not asked here.
         placing = {setting.name for setting in dataclasses.fields(WaypointConfig)} - {"normal_radius_voxels"}
         self._normal_config = ConfigParameters(self, WaypointConfig(), "waypoints", leave_out=placing)
-        self._surface_config = ConfigParameters(self, SurfaceMapConfig(), "surface")
-        self._band_config = ConfigParameters(self, BandQuery(), "band", leave_out=("max_points",))
-        self._band_region = ConfigParameters(self, BandRegion(), "band_region")
+        self._surface_config = ConfigParameters(self, SurfaceMapConfig(), "surface", changed=self._on_surface_config)
+        self._band_config = ConfigParameters(
+            self, BandQuery(), "band", leave_out=("max_points",), changed=self._on_band_config
+        )
+        self._band_region = ConfigParameters(self, BandRegion(), "band_region", changed=self._on_band_config)
         config = self._config.config()
         self._calibration = load_calibration(config.calibration or config_path("calibration.yaml"))
         device = torch_device(config.device)
@@ -91,7 +92,6 @@ class Query(Node):
             LoadMap, "query_slice", self._query_slice, qos_profile=qos.SERVICES, callback_group=services
         )
         self.create_service(Trigger, "query_band", self._query_band, qos_profile=qos.SERVICES, callback_group=services)
-        self.add_post_set_parameters_callback(self._on_parameters)
         self.get_logger().info(f"ready: device {device}")
         run_aside(lambda: warm_up_queries(device=device), "warm-up")
 
@@ -118,12 +118,12 @@ class Query(Node):
         self._status.report(status.ERROR, reason, {"state": "refused"})
         self._diagnostics.failed(reason)
 
-    def _on_parameters(self, parameters: list[Parameter]) -> None:
-        changed = {parameter.name.partition(".")[0] for parameter in parameters}
-        if changed & {"band", "band_region"}:
-            self._band.refresh()
+    def _on_band_config(self) -> None:
+        self._band.refresh()
+
+    def _on_surface_config(self) -> None:
         received = self._fields.current
-        if "surface" in changed and received is not None:
+        if received is not None:
             self._surface.show(received)
 
     def _describe(self) -> tuple[bytes, str, dict[str, Any]]:

@@ -183,9 +183,10 @@ class CScanAssembler:
         counted = max(steps, _LEAST_STEPS)
         most_ns = others_ns * counted // steps
         if longest_ns > most_ns:
+            others = "all" if counted == steps else str(counted)
             self._drop(
                 f"B-scan {last + 1}: expected a stamp nearer to that of B-scan {last} than the {most_ns * 1e-6:.6g} ms "
-                f"that {counted} others take, got one {longest_ns * 1e-6:.6g} ms after it; they are of two C-scans"
+                f"that {others} others take, got one {longest_ns * 1e-6:.6g} ms after it; they are of two C-scans"
             )
 
     def _finish(self, voxels: NDArray[Any]) -> Volume:

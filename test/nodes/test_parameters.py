@@ -65,6 +65,16 @@ def test_what_is_set_together_is_read_together(node: Node) -> None:
     assert parameters.config() == Outer(Inner(count=5), 0.25, "b")
 
 
+def test_whoever_asked_is_told_of_a_change_once_it_can_be_read(node: Node) -> None:
+    told: list[Outer] = []
+    parameters = ConfigParameters(node, Outer(), "plan", changed=lambda: told.append(parameters.config()))
+    ConfigParameters(node, Outer(), "other")
+    node.set_parameters([Parameter("other.length_m", value=0.25), Parameter("plan.length_m", value=-1.0)])
+    assert told == []
+    node.set_parameters([Parameter("plan.length_m", value=0.25)])
+    assert told == [Outer(length_m=0.25)]
+
+
 def test_descriptors_say_what_the_settings_say(node: Node) -> None:
     ConfigParameters(node, Outer(), read_only=("flag",))
     length = node.describe_parameter("length_m")
