@@ -299,14 +299,14 @@ class Station:
             # Its dwell ended with the last step, whatever has happened since.
             self._fire(cut, [self._look.stamp_ns(shot.start_s, factor) for shot in cut])
         except Exception as error:  # the laser is off already; what is left to do is to say why
-            reason = f"{reason}; {in_words(error)}"
+            reason = _and(reason, error)
         if state in ("staged", "executing"):
             self.no_plan = f"the last one was stopped: {reason}"
         if state == "executing" and execution is not None:
             try:
                 execution.end("aborted", reason, now_ns)
             except Exception as error:
-                reason = f"{reason}; {in_words(error)}"
+                reason = _and(reason, error)
         return reason
 
     def figures(self) -> dict[str, Any]:
@@ -336,6 +336,12 @@ class Station:
             stalled_s = min(stalled_s, 0.0)
         unvouched = voucher.why_not(path, interlock.planner_silence_s)
         return why_off(interlock, Conditions(self.enabled, age_s, unvouched, moved_m, stalled_s))
+
+
+def _and(reason: str, error: Exception) -> str:
+    """Add what went wrong beside a reason, if it is something else."""
+    words = in_words(error)
+    return reason if words in reason else f"{reason}; {words}"
 
 
 def _limits(interlock: InterlockConfig, factor: float) -> dict[str, float]:
