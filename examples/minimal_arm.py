@@ -10,16 +10,14 @@ import numpy as np
 import octn_ros.nodes  # noqa: F401 - makes rclpy and the message packages importable where ROS 2 is missing
 
 # isort: split
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
-from octn_ros.nodes import status
+from octn_ros.nodes import process, status
 from octn_ros.nodes.conversions import cloud_to_tool_path, matrix_to_pose_stamped, plan_hash, pose_to_matrix
 from octn_ros.nodes.qos import LATCHED
 from octn_ros.planning import from_translation_quaternion, invert, load_calibration
@@ -126,20 +124,6 @@ class MinimalArm(Node):
         self.reached.append((self._ee2base @ self._calibration.laser2ee)[:3, 3])
 
 
-def main() -> None:
-    """Run until Ctrl-C."""
-    rclpy.init(args=sys.argv)
-    node = MinimalArm()
-    executor = MultiThreadedExecutor(num_threads=2)
-    executor.add_node(node)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-
-
 if __name__ == "__main__":
-    main()
+    # Until Ctrl-C, on an executor with threads: while `execute` runs, all else is heard.
+    sys.exit(process.run(MinimalArm))
