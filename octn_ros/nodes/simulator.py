@@ -179,10 +179,17 @@ class Simulator(Node):
                         self._reports.say(status.WARN, f"plan of {len(path)} waypoints waits: {unvouched}", log=False)
                     return False
                 self._station.stage(path)
+                fired = self._station.has_fired(path)
         except Exception as error:  # whatever the plan holds, the node lives on
             self._on_bad_plan(in_words(error))
             return True
-        self._reports.say(status.OK, f"plan of {len(path)} waypoints staged")
+        words = f"plan of {len(path)} waypoints staged"
+        if fired:
+            words += (
+                "; it has fired since the scan, and the tissue is not what it was planned on any more: scan and plan "
+                "again, unless a second pass is meant"
+            )
+        self._reports.say(status.WARN if fired else status.OK, words)
         return True
 
     def _on_bad_plan(self, reason: str) -> None:

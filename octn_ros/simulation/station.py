@@ -59,8 +59,7 @@ class Station:
 
     A plan is staged, and fired only by `execute`, with the laser enabled and every condition of the interlock held; all
     of them are looked at again in each step, before anything is fired. A failed one turns the laser off, ends the
-    execution and disables the laser, and so does an abort. A plan that has fired is not taken again before the next
-    scan, for the tissue is not what it was planned on any more.
+    execution and disables the laser, and so does an abort.
 
     Args:
         mounting: where the machines sit.
@@ -166,18 +165,16 @@ class Station:
         """Take a plan to be executed later.
 
         Raises:
-            ExecutionError: there is no scan yet, the plan has fired on it, or the arm refuses it.
+            ExecutionError: there is no scan yet, or the arm refuses it.
         """
         if not self.scan_stamp_ns:
             self.arm.withdraw()
             raise ExecutionError("expected a scan before its plan, got none yet; scan and plan again")
-        if path.hash in self._fired:
-            self.arm.withdraw()
-            raise ExecutionError(
-                "expected a plan that has not fired since the scan, got one that has; the tissue is not what it was "
-                "planned on any more: scan and plan again"
-            )
         self.arm.stage(path, self.scan_stamp_ns, self._mounting.home2base)
+
+    def has_fired(self, path: LaserPath) -> bool:
+        """Whether a plan has fired since the scan, so that the tissue is not what it was planned on any more."""
+        return path.hash in self._fired
 
     @property
     def staged(self) -> LaserPath | None:
