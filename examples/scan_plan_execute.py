@@ -147,7 +147,7 @@ def drive(corners_m: list[float]) -> None:
         words = status.read(said)[1]
         if not path.poses:
             raise RefusedError(f"planner: {words}")
-        print(f"plan: {len(path.poses)} waypoints in {path.header.frame_id}", words, flush=True)
+        print(f"plan: {len(path.poses)} waypoints in {path.header.frame_id}; {words}", flush=True)
 
         arm_topic = "execution_status"
         wait_for_node(client, lambda: graph.count_publishers(arm_topic), f"an arm that tells {arm_topic}")

@@ -36,6 +36,7 @@ from octn_ros.simulation import (
 )
 from octn_ros.volume import load_volume
 
+FIRED = "the laser has fired since the scan, so the tissue is not what it was planned on any more"
 STATUS_PERIOD_NS = 500_000_000  # between reports of a running execution
 LONGEST_STEP = 5  # control periods: where the process is held up for longer, a lit arm and its laser wait too
 
@@ -179,16 +180,13 @@ class Simulator(Node):
                         self._reports.say(status.WARN, f"plan of {len(path)} waypoints waits: {unvouched}", log=False)
                     return False
                 self._station.stage(path)
-                fired = self._station.has_fired(path)
+                fired = self._station.has_fired
         except Exception as error:  # whatever the plan holds, the node lives on
             self._on_bad_plan(in_words(error))
             return True
         words = f"plan of {len(path)} waypoints staged"
         if fired:
-            words += (
-                "; it has fired since the scan, and the tissue is not what it was planned on any more: scan and plan "
-                "again, unless a second pass is meant"
-            )
+            words += f"; {FIRED}: scan and plan again, unless a second pass is meant"
         self._reports.say(status.WARN if fired else status.OK, words)
         return True
 
@@ -239,6 +237,8 @@ class Simulator(Node):
             self._start_stepping()
             response.success = True
             response.message = f"executing {station.arm.progress[1]} waypoints"
+            if station.has_fired:
+                response.message += f"; {FIRED}"
             self._reports.say(status.OK, response.message)
         return response
 

@@ -77,6 +77,7 @@ class Station:
         execution: the present or last execution, None before the first.
         no_plan: why nothing is staged.
         scan_stamp_ns: acquisition time of the present scan, 0 before the first.
+        has_fired: whether the laser has fired since that scan, so that the tissue is not what it shows any more.
     """
 
     def __init__(
@@ -99,11 +100,10 @@ class Station:
         self.enabled = False
         self.execution: Execution | None = None
         self.no_plan = "none has been received"
-        self.scan_stamp_ns = 0
+        self.scan_stamp_ns, self.has_fired = 0, False
         self._scan_place_m, self._scan_hash = np.zeros(3), ""
         self._look = _Look(0, 0.0, np.zeros(3))  # the last one at the interlock in an execution
         self._latest_ns = 0  # the latest time since the scan
-        self._fired: set[str] = set()  # plans of the present scan, by hash
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -153,7 +153,7 @@ class Station:
             self.withdraw("a new scan has withdrawn the plan before it")
         self.scan_stamp_ns, self._scan_hash, self._scan_place_m = stamp_ns, scan_hash, place_m
         self._latest_ns = 0
-        self._fired.clear()
+        self.has_fired = False
 
     def forget_scan(self) -> None:
         """Take note that the present scan was never taken; no plan of it can be staged."""
@@ -171,10 +171,6 @@ class Station:
             self.arm.withdraw()
             raise ExecutionError("expected a scan before its plan, got none yet; scan and plan again")
         self.arm.stage(path, self.scan_stamp_ns, self._mounting.home2base)
-
-    def has_fired(self, path: LaserPath) -> bool:
-        """Whether a plan has fired since the scan, so that the tissue is not what it was planned on any more."""
-        return path.hash in self._fired
 
     @property
     def staged(self) -> LaserPath | None:
@@ -317,7 +313,7 @@ class Station:
     def _fire(self, shots: list[Shot], stamps_ns: list[int]) -> None:
         """Fire at the tissue where it lay at the last look."""
         if shots and self.execution is not None:
-            self._fired.add(self.execution.order.plan_hash)
+            self.has_fired = True
             self.execution.fire(shots, stamps_ns, self._look.place_m)
 
     def _why_off(self, interlock: InterlockConfig, voucher: Voucher, now_ns: int) -> str | None:

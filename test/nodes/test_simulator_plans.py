@@ -52,17 +52,18 @@ def test_a_plan_is_staged_on_receipt_and_runs_only_on_execute(simulator_bench: C
     assert bench.until("done")["shots"] == "5"
 
 
-def test_a_plan_that_has_fired_is_staged_again_with_a_warning(simulator_bench: Callable[..., Any]) -> None:
+def test_a_plan_of_tissue_that_has_been_fired_at_is_staged_with_a_warning(simulator_bench: Callable[..., Any]) -> None:
     bench = simulator_bench()
     stamp_ns = bench.scan()
     bench.planner.plan(stamp_ns, bench.line(5))
     bench.until("5 waypoints staged")
     done(bench)
     told = len(bench.status.messages)
-    bench.planner.plan(stamp_ns, bench.line(5))
-    bench.until("5 waypoints staged; it has fired since the scan", after=told)
+    bench.planner.plan(stamp_ns, bench.line(4))
+    bench.until("4 waypoints staged; the laser has fired since the scan", after=told)
     assert bench.status.messages[-1].status[0].level == status.WARN
     done(bench)
+    assert bench.until("executing 4 waypoints; the laser has fired since the scan")
 
 
 @pytest.mark.parametrize(
