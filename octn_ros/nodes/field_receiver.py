@@ -74,8 +74,8 @@ class FieldReceiver:
     Args:
         node: the node that listens.
         device: where the field is put.
-        received: called with each new field, and by how many seconds its scan is older than that of the last one, 0
-            where it is not.
+        received: called with each new field, and with the words for how much older its scan is than that of the last
+            one, as a clause behind "field"; empty where it is not.
         refused: called with the reason why a message was not accepted and what is left, as a sentence, and whether
             the message was of another scan than the field that is kept, so that plans on it are out of date.
         group: callback group of the subscription; one that `plan` services share never mixes two fields.
@@ -85,7 +85,7 @@ class FieldReceiver:
         self,
         node: Node,
         device: torch.device,
-        received: Callable[[ReceivedField, float], None],
+        received: Callable[[ReceivedField, str], None],
         refused: Callable[[str, bool], None],
         group: CallbackGroup,
     ) -> None:
@@ -117,7 +117,9 @@ class FieldReceiver:
             received = self._checked(message)
             if received is not last:
                 self._current = received
-                self._received(received, max(last.stamp_ns - received.stamp_ns, 0) * 1e-9 if last else 0.0)
+                older_s = (last.stamp_ns - received.stamp_ns) * 1e-9 if last else 0.0
+                older = f", whose scan is {older_s:.1f} s older than that of the last field" if older_s > 0 else ""
+                self._received(received, older)
         except Exception as error:  # also a fault of ours, or the device's memory is full: the node lives on
             self._current = last
             kept = "the last one is kept" if last else "there is none"

@@ -114,9 +114,8 @@ class Planner(Node):
 
     # --- fields
 
-    def _on_field(self, received: ReceivedField, older_s: float) -> None:
-        level = status.WARN if older_s or self._publisher.stands else status.OK
-        older = f", whose scan is {older_s:.1f} s older than that of the last field" if older_s else ""
+    def _on_field(self, received: ReceivedField, older: str) -> None:
+        level = status.WARN if older or self._publisher.stands else status.OK
         of_field = {"state": "ready", **self._told(received)}
         if self._publisher.stands:
             self._withdraw(received)

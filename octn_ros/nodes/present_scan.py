@@ -36,14 +36,14 @@ class ScanPlace:
     pose: StampedPose | None = None
     settled: bool = False
 
-    def take(self, pose: StampedPose | None, largest_gap_s: Callable[[], float]) -> bool:
+    def take(self, pose: StampedPose | None, largest_gap_s: float) -> bool:
         """Take a pose if it is the nearest so far, and near enough; return whether."""
         if pose is None or self.settled:
             return False
         gap_ns = abs(pose.stamp_ns - self.stamp_ns)
         if self.pose is not None and gap_ns >= abs(self.pose.stamp_ns - self.stamp_ns):
             return False
-        if gap_ns > largest_gap_s() * 1e9:
+        if gap_ns > largest_gap_s * 1e9:
             return False
         self.pose = pose
         return True
@@ -135,7 +135,8 @@ class PresentScan:
         """
         with self._lock:
             self._expected = scan.place
-            scan.place.take(self._poses.nearest(scan.place.stamp_ns, self._largest_gap_s()), self._largest_gap_s)
+            largest_gap_s = self._largest_gap_s()
+            scan.place.take(self._poses.nearest(scan.place.stamp_ns, largest_gap_s), largest_gap_s)
 
     def show(self, scan: NewScan) -> None:
         """Make a C-scan the present one and publish what is known of it at once, unless that has been done."""
@@ -178,10 +179,11 @@ class PresentScan:
         Raises:
             CheckpointError: it is published, and cannot be kept.
         """
+        largest_gap_s = self._largest_gap_s()
         with self._lock:
             if self._expected is not None and self._expected is not self._place:
-                self._expected.take(pose, self._largest_gap_s)
-            if self._place is None or not self._place.take(pose, self._largest_gap_s):
+                self._expected.take(pose, largest_gap_s)
+            if self._place is None or not self._place.take(pose, largest_gap_s):
                 return
             self._publish_pose()
             if self._kept is None:

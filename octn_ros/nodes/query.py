@@ -103,11 +103,10 @@ class Query(Node):
 
     # --- field and parameters
 
-    def _on_field(self, received: ReceivedField, older_s: float) -> None:
+    def _on_field(self, received: ReceivedField, older: str) -> None:
         identity = {"state": "ready", **received.identity()}
-        older = f", whose scan is {older_s:.1f} s older than that of the last field" if older_s else ""
         self._status.report(
-            status.WARN if older_s else status.OK,
+            status.WARN if older else status.OK,
             f"field {received.hash} of the scan at {received.stamp_ns} ns received{older}",
             identity,
         )

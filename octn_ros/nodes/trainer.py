@@ -120,8 +120,7 @@ class Trainer(Node):
         return self._fitter.submit(scan, self._fit_config.config(), warm_start=warm_start, restart=restart)
 
     def _largest_pose_gap_s(self) -> float:
-        # This one alone: it is asked for with each of some hundred poses a second.
-        return float(self.get_parameter("largest_pose_gap_s").value)
+        return self._config.config().largest_pose_gap_s
 
     def _on_ee_pose(self, message: PoseStamped) -> None:
         try:

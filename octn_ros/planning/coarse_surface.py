@@ -181,9 +181,9 @@ def coarse_surface(field: Field, points_m: NDArray[np.float64], config: CoarseSu
     chosen = choose_smooth(place, strength / usual, slope_per_voxel, config.smoothness)
     depth = np.take_along_axis(place, chosen[..., None], axis=-1)[..., 0]
     own = np.take_along_axis(strength, chosen[..., None], axis=-1)[..., 0]
-    above = np.where(place < depth[..., None], strength, 0.0).max(axis=-1)
-    again = np.where(place > depth[..., None] + 2 * box, from_air, 0.0).max(axis=-1)
-    rivals = np.where(depth * geometry.spacing_m[1] < config.window_m, np.maximum(above, again), above)
+    found = depth[..., None]
+    again = (place > found + 2 * box) & (found * geometry.spacing_m[1] < config.window_m)
+    rivals = np.where(place < found, strength, np.where(again, from_air, 0.0)).max(axis=-1)
     fine = depth.astype(np.float64)
     for _ in range(_ALIGNMENTS):
         # An A-scan that lies off its neighbours is looked at where they are; the others keep crests and cliffs sharp.

@@ -34,6 +34,19 @@ def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     event.set()
 
 
+@pytest.fixture
+def fitting(trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event) -> Callable[[str], Any]:
+    """Make a trainer that does with a new scan as it is told and is held in the fit of the scan of second 1."""
+
+    def make(new_scan: str) -> Any:
+        bench = trainer_bench(**OF_SCANNER, new_scan=new_scan)
+        bench.scan(volume, 1 * 10**9)
+        until_report(bench, 1, "fitting")
+        return bench
+
+    return make
+
+
 def heard(bench: Any) -> list[tuple[int, str]]:
     """Return stamp (in s) and kind of the fields so far."""
     return [
@@ -58,11 +71,9 @@ def until_report(bench: Any, second: int, state: str) -> dict[str, str]:
 
 
 def test_restart_gives_the_running_fit_up_for_the_new_scan(
-    trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event
+    fitting: Callable[[str], Any], volume: Volume, held: threading.Event
 ) -> None:
-    bench = trainer_bench(**OF_SCANNER, new_scan="restart")
-    bench.scan(volume, 1 * 10**9)
-    until_report(bench, 1, "fitting")
+    bench = fitting("restart")
     bench.scan(volume, 2 * 10**9)
     until_report(bench, 1, "superseded")
     held.set()
@@ -71,11 +82,9 @@ def test_restart_gives_the_running_fit_up_for_the_new_scan(
 
 
 def test_finish_ends_the_running_fit_and_then_takes_the_newest_scan(
-    trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event
+    fitting: Callable[[str], Any], volume: Volume, held: threading.Event
 ) -> None:
-    bench = trainer_bench(**OF_SCANNER, new_scan="finish")
-    bench.scan(volume, 1 * 10**9)
-    until_report(bench, 1, "fitting")
+    bench = fitting("finish")
     for second in (2, 3):
         bench.scan(volume, second * 10**9)
         until_report(bench, second, "waiting")
@@ -86,11 +95,9 @@ def test_finish_ends_the_running_fit_and_then_takes_the_newest_scan(
 
 
 def test_a_scan_that_waits_keeps_its_pose_however_long_that_is(
-    trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event
+    fitting: Callable[[str], Any], volume: Volume, held: threading.Event
 ) -> None:
-    bench = trainer_bench(**OF_SCANNER, new_scan="finish")
-    bench.scan(volume, 1 * 10**9)
-    until_report(bench, 1, "fitting")
+    bench = fitting("finish")
     for number, stamp_ns in enumerate((2_010_000_000, 2_001_000_000), start=1):
         pose = from_translation_quaternion((0.1 * number, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         bench.ee_pose.publish(conversions.matrix_to_pose_stamped(pose, stamp_ns, "base_link"))
@@ -105,11 +112,9 @@ def test_a_scan_that_waits_keeps_its_pose_however_long_that_is(
 
 
 def test_cancel_ends_both_fits_and_refit_takes_the_scan_that_waited(
-    trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event
+    fitting: Callable[[str], Any], volume: Volume, held: threading.Event
 ) -> None:
-    bench = trainer_bench(**OF_SCANNER, new_scan="finish")
-    bench.scan(volume, 1 * 10**9)
-    until_report(bench, 1, "fitting")
+    bench = fitting("finish")
     bench.scan(volume, 2 * 10**9)
     until_report(bench, 2, "waiting")
     answer = bench.trigger("cancel")
@@ -122,12 +127,8 @@ def test_cancel_ends_both_fits_and_refit_takes_the_scan_that_waited(
     assert heard(bench) == [(1, "interpolated"), (2, "interpolated"), (2, "neural")]
 
 
-def test_refit_follows_the_parameter_too(
-    trainer_bench: Callable[..., Any], volume: Volume, held: threading.Event
-) -> None:
-    bench = trainer_bench(**OF_SCANNER, new_scan="finish")
-    bench.scan(volume, 1 * 10**9)
-    until_report(bench, 1, "fitting")
+def test_refit_follows_the_parameter_too(fitting: Callable[[str], Any], held: threading.Event) -> None:
+    bench = fitting("finish")
     assert bench.trigger("refit").message == "the present fit ends first, then this one begins"
     assert bench.set("new_scan", "restart").successful
     assert bench.trigger("refit").message == "the present fit is given up, and this one begins"
